@@ -174,12 +174,17 @@ def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[in
     return best
 
 
+def _nearest(y: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the indices of the edges that are nearest to some times."""
+    after = np.clip(np.searchsorted(y, times), 1, len(y) - 1)
+    return np.asarray(after - ((times - y[after - 1]) < (y[after] - times)), np.int64)
+
+
 def _likely(x: NDArray[np.float64], y: NDArray[np.float64], i: int) -> list[int]:
     """Return the edges of y that are most likely edge i of x, by the edges around it."""
     around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
     expected = y[:, None] + around
-    after = np.clip(np.searchsorted(y, expected), 1, len(y) - 1)
-    distance = np.minimum(np.abs(y[after] - expected), np.abs(expected - y[after - 1]))
+    distance = np.abs(y[_nearest(y, expected)] - expected)
     meets = (distance <= TOLERANCE_S + MAX_DRIFT * np.abs(around)).sum(axis=1)
     return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
 
@@ -187,8 +192,7 @@ def _likely(x: NDArray[np.float64], y: NDArray[np.float64], i: int) -> list[int]
 def _pairs(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> list[tuple[int, int]]:
     """Return the pairs that meet when edge i is edge j."""
     expected = x - x[i] + y[j]
-    nearest = np.clip(np.searchsorted(y, expected), 1, len(y) - 1)
-    nearest -= (expected - y[nearest - 1]) < (y[nearest] - expected)
+    nearest = _nearest(y, expected)
     allowed = TOLERANCE_S + MAX_DRIFT * np.abs(x - x[i])
     meets = np.abs(y[nearest] - expected) <= allowed
     pairs = [(int(k), int(nearest[k])) for k in np.flatnonzero(meets)]

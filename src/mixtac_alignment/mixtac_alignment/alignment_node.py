@@ -172,16 +172,20 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         )
         method: Method = 'edges' if p.use_edges else 'refined'
         self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
-        self._restarts = self._rate.restarts + self._force.restarts
+        self._restarts = self._clock_restarts
         message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
         return self._fit.summary()
 
     @property
+    def _clock_restarts(self) -> int:
+        return self._rate.restarts + self._force.restarts
+
+    @property
     def _stale(self) -> bool:
         """Whether a clock has restarted since the fit."""
-        return self._rate.restarts + self._force.restarts > self._restarts
+        return self._clock_restarts > self._restarts
 
     def _unmatched(self) -> int:
         waiting = sum(len(queue) for queue in self._pairs.queues)
@@ -197,7 +201,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             'frames and exposure messages without a match': self._unmatched(),
             'events dropped: history buffer full': self._history.dropped,
             'external edges': len(self._camera_edges),
-            'clock restarts': self._rate.restarts + self._force.restarts,
+            'clock restarts': self._clock_restarts,
         }
         if self._fit is None:
             return Status(OK, 'no clock fit yet: tap twice, then call ~/fit', values)

@@ -28,11 +28,7 @@ def check_namespace(value: str) -> str:
     Raises:
         BadParameter: It has other characters, or is too long.
     """
-    if len(value) > _LONGEST or not _NAMESPACE.fullmatch(value):
-        raise typer.BadParameter(
-            f'{value[:_LONGEST]!r} is no ROS namespace: use letters, digits, _ and /'
-        )
-    return value
+    return _checked_name(value, 'namespace', _NAMESPACE.fullmatch(value) is not None)
 
 
 def check_topic(value: str) -> str:
@@ -41,9 +37,14 @@ def check_topic(value: str) -> str:
     Raises:
         BadParameter: It is empty, too long, or has other characters.
     """
-    if len(value) > _LONGEST or not _NAMESPACE.fullmatch(value) or not value.strip('/'):
+    named = _NAMESPACE.fullmatch(value) is not None and bool(value.strip('/'))
+    return _checked_name(value, 'topic', named)
+
+
+def _checked_name(value: str, kind: str, valid: bool) -> str:
+    if len(value) > _LONGEST or not valid:
         raise typer.BadParameter(
-            f'{value[:_LONGEST]!r} is no ROS topic: use letters, digits, _ and /'
+            f'{value[:_LONGEST]!r} is no ROS {kind}: use letters, digits, _ and /'
         )
     return value
 

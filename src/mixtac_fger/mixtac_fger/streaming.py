@@ -346,7 +346,7 @@ class ForceEstimator:
         reference.renew()
         self._other_camera = False
         self._estimator.clear()
-        self._validity = Validity(self._estimator.window_us, self._estimator.width)
+        self._validity.forget()
         self._release, self._zero = Release(), ZeroWatch()
         self._recent.clear()
 
@@ -382,7 +382,7 @@ class ForceEstimator:
     def change_camera(self) -> None:
         """Forget the zero: another camera was connected."""
         self.reset()
-        self._validity = Validity(self._estimator.window_us, self._estimator.width)
+        self._validity.forget()
         # Only some estimators learn what is the sensor's.
         getattr(self._estimator, 'change_sensor', lambda: None)()
         self._other_camera = True

@@ -225,6 +225,10 @@ class Validity:
     def __init__(self, window_us: int, width: int) -> None:
         self._window_us, self._width = window_us, width
         self._blow = BUSY_PER_MS * window_us // 1000
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the sensor, and what is usual of it."""
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0

@@ -48,6 +48,8 @@ KNOWN: Final = frozenset(
     )
 )
 """Columns that are read; all others are passed over."""
+TIMES: Final = ('t', 'exposure_start', 'exposure_end')
+"""Columns of times."""
 UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
 """Units of time [ns]."""
 OTHER_UNITS: Final = {
@@ -103,7 +105,7 @@ class Tables:
                     f'{self.path}: {name} has no column {missing[0]}, only {", ".join(rows)}',
                     remedy=f'name the columns {", ".join(needed)}',
                 )
-            for key in ('t', 'exposure_start', 'exposure_end'):
+            for key in TIMES:
                 if key in rows:
                     scale = UNITS[units.get(key, unit)]
                     if not _fits(rows[key], scale):
@@ -221,7 +223,7 @@ def _headings(path: Path, line: str) -> tuple[list[str] | None, dict[str, str]]:
 
 def _check_unit(path: Path, name: str, meaning: str, unit: str | None) -> None:
     vector = OTHER_UNITS.get(re.sub('_[xyz]$', '', meaning))
-    known = tuple(UNITS) if meaning in {'t', 'exposure_start', 'exposure_end'} else vector
+    known = tuple(UNITS) if meaning in TIMES else vector
     if unit and known and unit not in known:
         raise RecordingError(
             f'{path}: the unit of {name} is {unit}, not {" or ".join(known)}',
@@ -243,9 +245,8 @@ def _parsed(path: Path, names: list[str], lines: list[str]) -> Rows:
         found = _loaded(lines, delimiter, wanted, whole)
     except (ValueError, IndexError, DeprecationWarning):
         # A column may have fractions between whole numbers.
-        times = whole & {'t', 'exposure_start', 'exposure_end'}
         try:
-            found = _loaded(lines, delimiter, wanted, times)
+            found = _loaded(lines, delimiter, wanted, whole.intersection(TIMES))
         except (ValueError, IndexError, DeprecationWarning) as error:
             raise RecordingError(
                 f'{path} is no table of numbers: {error}',

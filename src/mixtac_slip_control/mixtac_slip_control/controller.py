@@ -28,7 +28,7 @@ from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.detectors import Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
-from mixtac_slip_control.grip import GripMargin
+from mixtac_slip_control.grip import LATEST_US, GripMargin
 from mixtac_slip_control.law import Advance
 from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
 from mixtac_slip_control.safety import JOINTS, Interlock, InterlockState, SafetyWatch
@@ -94,8 +94,6 @@ class SlipStep:
 
 CALM_US: Final = 200_000
 """Time after a slip in which the sensor's force is not learned from [us]: five frames."""
-LATEST_US: Final = 1_000_000
-"""A time that lies farther ahead [us] is one of a clock that started anew since."""
 
 
 class SlipController:

@@ -44,7 +44,7 @@ LONGEST_US: Final = 20_000
 PEAK_US: Final = 8_000
 """Time from the begin of a slip in which its pull is looked for [us]: the arm has not answered."""
 LATEST_US: Final = 1_000_000
-"""A slip that begins later than a force by more is one of a clock that started anew since [us]."""
+"""A slip that lies farther ahead of a force is one of a clock that started anew since [us]."""
 SLIP_SPREAD: Final = 0.12
 """Relative standard deviation of the coefficient that one slip tells."""
 LEAST_SPREAD: Final = 0.06

@@ -72,9 +72,13 @@ class Rig:
             self.controller.on_heartbeat(self.now)
         return self.controller.on_events(events, start + 1000, self.now, lost=lost)[-1]
 
-    def learned(self) -> Rig:
-        for _ in range(120):
+    def steps(self, number: int) -> None:
+        """Go on for so many steps."""
+        for _ in range(number):
             self.step()
+
+    def learned(self) -> Rig:
+        self.steps(120)
         return self
 
     def enabled(self) -> Rig:
@@ -108,8 +112,7 @@ def test_it_cannot_be_enabled_unlearned_while_slipping_or_without_an_arm() -> No
     rig.step()
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
-    for _ in range(120):
-        rig.step()
+    rig.steps(120)
     rig.step(800)
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
@@ -119,8 +122,7 @@ def test_it_cannot_be_enabled_unlearned_while_slipping_or_without_an_arm() -> No
 
 def test_it_cannot_be_enabled_without_a_heartbeat() -> None:
     rig = Rig()
-    for _ in range(120):
-        rig.step()
+    rig.steps(120)
     for _ in range(10):
         rig.ms += 100
         rig.controller.on_force(0.5, 1000 * rig.ms, rig.now)
@@ -157,8 +159,7 @@ def test_near_the_force_ceiling_it_stays_where_the_arm_is() -> None:
 def test_a_force_near_the_ceiling_cannot_be_enabled() -> None:
     rig = Rig()
     rig.force = 1.4
-    for _ in range(120):
-        rig.step()
+    rig.steps(120)
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
     assert not rig.controller.enabled
@@ -216,8 +217,7 @@ def test_each_fault_stops_for_good(reason: str) -> None:
     assert step.state == InterlockState.STOPPED
     assert rig.controller.plan(rig.now) is None
     assert len(rig.planner.targets) == targets
-    for _ in range(240):
-        rig.step()
+    rig.steps(240)
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
     rig.controller.reset(rig.now)
@@ -262,13 +262,11 @@ def test_a_deviation_that_is_no_number_stops_and_leaves_the_bounds_alone(deviati
 def test_a_force_that_is_not_valid_teaches_nothing() -> None:
     rig = Rig()
     rig.pull = 0.2
-    for _ in range(1000):
-        rig.step()
+    rig.steps(1000)
     before = rig.controller.grip.wanted(0.0)
     rig.controller.on_quality('stale', rig.now)
     rig.force, rig.pull = 0.1, 0.3
-    for _ in range(300):
-        rig.step()
+    rig.steps(300)
     assert rig.controller.grip.wanted(0.0) == before
     assert rig.controller.grip.normal == pytest.approx(0.5)
 
@@ -276,8 +274,7 @@ def test_a_force_that_is_not_valid_teaches_nothing() -> None:
 def test_changed_wishes_reach_the_grip() -> None:
     rig = Rig()
     rig.pull = 0.3
-    for _ in range(1000):
-        rig.step()
+    rig.steps(1000)
     before = rig.controller.grip.wanted(0.0)
     rig.controller.configure(chosen(grip_margin=2.0, max_grip_force=5.0, max_force=6.0))
     assert rig.controller.grip.wanted(0.0) == pytest.approx(before * 2.0 / 1.3)
@@ -286,12 +283,10 @@ def test_changed_wishes_reach_the_grip() -> None:
 def test_it_waits_a_moment_after_a_slip_before_it_is_enabled() -> None:
     rig = Rig().learned()
     assert rig.step(800).slipping
-    for _ in range(100):
-        rig.step()
+    rig.steps(100)
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
-    for _ in range(150):
-        rig.step()
+    rig.steps(150)
     rig.controller.enable(rig.now)
     assert rig.controller.enabled
 
@@ -303,8 +298,7 @@ def test_a_slip_before_the_clock_started_anew_holds_nothing_up() -> None:
     assert rig.step(800).slipping
     rig.ms = 0
     rig.force, rig.pull = 0.9, 0.5
-    for _ in range(1000):
-        rig.step()
+    rig.steps(1000)
     assert rig.controller.grip.normal == pytest.approx(0.9, abs=0.01)
     assert rig.controller.reason(rig.now) == ''
 
@@ -398,8 +392,7 @@ def test_enabling_waits_until_the_arm_rests() -> None:
     rig.step()
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
-    for _ in range(60):
-        rig.step()
+    rig.steps(60)
     rig.controller.enable(rig.now)
 
 
@@ -516,8 +509,7 @@ def test_nothing_moves_before_the_arm_was_seen_where_the_plan_begins() -> None:
     rig.controller.disable()
     rig.step()
     rig.controller.enable(rig.now, settling_s=0.01)
-    for _ in range(9):
-        rig.step()
+    rig.steps(9)
     for _ in range(5):
         # The joint states of after the settling are lost.
         rig.controller.on_heartbeat(rig.now)

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_events.packets import CDR_LITTLE_ENDIAN
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.errors import ArmError
 
@@ -75,8 +76,6 @@ class ArmState:
 
 
 NS_PER_S: Final = 1_000_000_000
-_LITTLE_ENDIAN: Final = b'\0\1\0\0'
-"""Representation of the data that follow (CDR)."""
 
 
 def serialised(trajectory: PlannedTrajectory) -> bytes:
@@ -105,7 +104,7 @@ def serialised(trajectory: PlannedTrajectory) -> bytes:
     points = words.tobytes()
     if len(text) % 8 == 0:
         points = points[:4] + bytes(4) + points[4:]
-    return _LITTLE_ENDIAN + text + points
+    return CDR_LITTLE_ENDIAN + bytes(2) + text + points
 
 
 def settling_trajectory(
