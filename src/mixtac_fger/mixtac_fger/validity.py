@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a force can be trusted, and why not.
 
-Five groups of checks, none of which knows a particular fault:
+Six groups of checks, none of which knows a particular fault:
 
 * The picture: a pressed gel is the gel of the reference, displaced and nothing else. What is left
   after the reference is displaced, tile by tile, no contact explains.
@@ -10,6 +10,7 @@ Five groups of checks, none of which knows a particular fault:
   size and in pattern.
 * The estimate: the frame's force is the force that was estimated at the centre of its exposure.
 * Rates: neither ON nor OFF events ever stop where the sensor at rest has noise of both kinds.
+* Noise: its pattern is that of the sensor's pixels (`noise_pattern`).
 * Repetition: noise never makes the same frame twice, nor the same events at the same intervals.
 
 Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
@@ -28,10 +29,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
+from mixtac_fger.noise_pattern import NoisePattern
 
 if TYPE_CHECKING:
-    from mixtac_events.arrays import Events
     from mixtac_fger.comparisons import PictureFigures
 
 F32 = NDArray[np.float32]
@@ -71,8 +73,9 @@ TEXTS = {
     ' check the biases and restart the driver',
     Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
     ' for hot pixels, flicker and biases',
-    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
-    ' again and again: check that both are of the same camera and neither is mirrored or late',
+    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, the same events come again'
+    ' and again, or their noise is not that of the pixels: check that both are of the same camera and'
+    ' neither is mirrored or late; after a change of the biases release the sensor and call ~/tare',
     Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
     ' release the sensor and call ~/tare',
     Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
@@ -117,6 +120,8 @@ grown disagrees, too, until it has become what is usual."""
 LEAST_AGREEMENT, LEAST_CLEAR_AGREEMENT = 0.15, 0.3
 """Correlation over the expected one. In 1631 judgements of 72 trials without a fault (15 minutes)
 0.39 and more, of 1195 clear ones 0.57. What does not agree is not trusted until it does."""
+CERTAIN_AGREEMENT = 0.5
+"""The same from which on events are right even if their noise has another pattern than before."""
 BUSY_PER_MS = 750
 """Rate of a blow [events/ms]: its motion during an exposure is no fault."""
 BUSY_MARGIN_US = 8_000
@@ -126,10 +131,9 @@ MOST_UNTOLD, STILL, UNTOLD_FRAMES, UNTOLD_BLOWS = 4.0, 1.3, 3, 5
 many frames in a row, or so many with a blow each between them and the one before; without a fault
 two in a row at most, from blows between two frames."""
 UNTOLD = UNTOLD_FRAMES * UNTOLD_BLOWS
-RATE_WINDOWS = 10
-"""Windows over which the rate of each polarity is averaged."""
-LEAST_RATE, LEAST_REST = 0.25, 3.0
-"""Rate over that at rest, without a fault 0.5 and more; not judged below so many per window."""
+LEAST_RATE, RARE = 0.25, 5.0
+"""Rate of a polarity over that at rest, without a fault 0.5 and more; standard deviations by which
+it has to be lower, too: few events come and go."""
 MOST_RATE = 4.0
 """Rate over that at rest in all windows between frames that are still."""
 MOST_DISAGREEMENT, DISAGREEING_FRAMES = 1.5, 3
@@ -147,7 +151,9 @@ FALL, RISE = 0.2, 0.002
 AT_REST = 1.5
 """Events over those at rest up to which a frame without motion counts as rest."""
 FRAMES_KNOWN, ROWS_APART = 128, 8
-"""Frames that are known again by every eighth row, and the events between them by their marks."""
+"""Frames that are known again, by every eighth row."""
+STRETCHES_KNOWN = 256
+"""Stretches of events that are known again, by their marks."""
 LEAST_MARKS, MOST_KNOWN = 4, 0.5
 """Share of marks that are known again, from so many marks on; without a fault none is."""
 WINDOWS_KEPT = 96
@@ -160,23 +166,24 @@ def disagreement_scale(force: float) -> float:
 
 
 class _Recent:
-    """What the latest frames were known by."""
+    """What the latest frames, or stretches of events, were known by; so many of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int) -> None:
+        self._most = most
         self._groups: deque[frozenset[int]] = deque()
         self._latest: dict[int, int] = {}
         self._number = 0
 
     def add(self, group: frozenset[int]) -> int:
-        """Add what a frame is known by; return how much of it was known before."""
+        """Add what one is known by; return how much of it was known before."""
         known = len(group & self._latest.keys())
         self._number += 1
         self._latest.update(dict.fromkeys(group, self._number))
         self._groups.append(group)
-        if len(self._groups) > FRAMES_KNOWN:
+        if len(self._groups) > self._most:
             for each in self._groups.popleft():
                 # What came again since is still known.
-                if self._latest[each] <= self._number - FRAMES_KNOWN:
+                if self._latest[each] <= self._number - self._most:
                     del self._latest[each]
         return known
 
@@ -188,22 +195,19 @@ class _Windows:
         ends_us: Their ends.
         events: Their events.
         numbers: The numbers of their events.
-        brighter: The numbers of those that are ON.
     """
 
     def __init__(self) -> None:
         self.ends_us: list[int] = []
         self.events: list[Events] = []
         self.numbers: list[int] = []
-        self.brighter: list[int] = []
 
-    def add(self, end_us: int, events: Events, number: int, brighter: int) -> None:
+    def add(self, end_us: int, events: Events) -> None:
         self.ends_us.append(end_us)
         self.events.append(events)
-        self.numbers.append(number)
-        self.brighter.append(brighter)
+        self.numbers.append(events.t.shape[0])
         if len(self.numbers) == 2 * WINDOWS_KEPT:
-            for each in (self.ends_us, self.events, self.numbers, self.brighter):
+            for each in (self.ends_us, self.events, self.numbers):
                 del each[:WINDOWS_KEPT]
 
     def between(self, start_us: int, end_us: int) -> slice:
@@ -232,6 +236,7 @@ class Validity:
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
+        self._pattern = NoisePattern(self._width, self._window_us)
         self._held: dict[Reason, int] = {}
         self.clear()
 
@@ -239,16 +244,17 @@ class Validity:
         """Forget the stream: a restart of its clock. Noise levels are kept."""
         self._windows = _Windows()
         self._held.clear()
-        self._rate = list(self._rest)
         self._before: tuple[int, F32 | None] = (0, None)
         self._anchor: F32 | None = None
         self._signs = np.zeros((0, 0), np.float32)
-        self._age = self._untold = self._low = 0
+        self._stretch = self._age = self._untold = self._low = 0
         self._expected = self._alike = 0.0
-        self._apart = self._busy = self._vibrating = False
+        self._apart = self._busy = self._vibrating = self._foreign = False
         self._rested = 0
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
-        self._frames, self._marks = _Recent(), _Recent()
+        self._frames, self._marks = _Recent(FRAMES_KNOWN), _Recent(STRETCHES_KNOWN)
+        if self._pattern.missing:
+            self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 
     def skip(self) -> None:
         """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
@@ -273,16 +279,31 @@ class Validity:
         if not complete:
             self._start_over()
             return
-        count = events.t.shape[0]
-        brighter = int(np.count_nonzero(events.polarity))
-        self._windows.add(end_us, events, count, brighter)
-        rate, rest = self._rate, self._rest
-        rate[0] += (brighter - rate[0]) / RATE_WINDOWS
-        rate[1] += (count - brighter - rate[1]) / RATE_WINDOWS
-        if (rate[0] < LEAST_RATE * rest[0] and rest[0] > LEAST_REST) or (
-            rate[1] < LEAST_RATE * rest[1] and rest[1] > LEAST_REST
-        ):
-            self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
+        self._windows.add(end_us, events)
+        self._stretch += 1
+        if self._stretch == self._pattern.windows:
+            self._stretch = 0
+            self._judge_stretch()
+
+    def _judge_stretch(self) -> None:
+        """Look at the events of the latest windows alone."""
+        count = self._pattern.windows
+        stretch = Events.concatenate(self._windows.events[-count:])
+        brighter = int(np.count_nonzero(stretch.polarity))
+        for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
+            usual = count * rest
+            if number < min(LEAST_RATE * usual, usual - RARE * math.sqrt(usual)):
+                self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
+        room = np.empty(MOST_MARKS, np.uint64)
+        found = marks(stretch.t, stretch.x, stretch.y, stretch.polarity, room)
+        new = frozenset(room[:found].tolist())
+        repeated = self._marks.add(new) > MOST_KNOWN * max(found, LEAST_MARKS)
+        # A blow is not noise, wherever it is.
+        if max(self._windows.numbers[-count:]) <= self._blow:
+            self._pattern.judge(stretch)
+        self._foreign = repeated or self._pattern.missing
+        if self._foreign:
+            self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 
     def frame(
         self,
@@ -308,7 +329,8 @@ class Validity:
         found = set() if picture is None else picture_findings(picture)
         if vibrating and not self._vibrating:
             # What was found was the vibration, and this is the first frame to lead the estimate.
-            self._held.pop(Reason.EVENTS_DISAGREE, None)
+            if not self._foreign:
+                self._held.pop(Reason.EVENTS_DISAGREE, None)
             self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
             self._disagreements.clear()
             self._untold = self._low = 0
@@ -343,25 +365,18 @@ class Validity:
         if chosen is None:
             self._start_over()
             return set()
-        parts = self._windows.events[chosen]
         told = np.zeros_like(contrast)
-        size = self._width // contrast.shape[1]
         # At once: a call of compiled code takes longer than the few events of a window.
-        x = np.concatenate([part.x for part in parts])
-        y = np.concatenate([part.y for part in parts])
-        polarity = np.concatenate([part.polarity for part in parts])
-        add_signs(x, y, polarity, size, told)
-        t = np.concatenate([part.t for part in parts])
-        room = np.empty(MOST_MARKS, np.uint64)
-        new = frozenset(room[: marks(t, x, y, polarity, room)].tolist())
-        repeated = self._marks.add(new) > MOST_KNOWN * max(len(new), LEAST_MARKS)
+        events = Events.concatenate(self._windows.events[chosen])
+        add_signs(events.x, events.y, events.polarity, self._width // contrast.shape[1], told)
         self._signs += told
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
-        found = set() if self._vibrating else self._judge_pair(before, contrast, told, chosen)
-        if repeated:
-            found.add(Reason.EVENTS_DISAGREE)
+        brighter = int(np.count_nonzero(events.polarity))
+        found = set()
+        if not self._vibrating:
+            found = self._judge_pair(before, contrast, told, chosen, brighter)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
         if strong >= STRONG_BINS and not self._busy:
             low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
@@ -375,7 +390,9 @@ class Validity:
             self._signs[:] = 0.0
         return found
 
-    def _judge_pair(self, before: F32, contrast: F32, told: F32, chosen: slice) -> set[Reason]:
+    def _judge_pair(
+        self, before: F32, contrast: F32, told: F32, chosen: slice, brighter: int
+    ) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
         if Reason.EVENTS_MISSING in self._held:
             # Silence is no rest: it would become what is usual.
@@ -386,7 +403,6 @@ class Validity:
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
         self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
         numbers = self._windows.numbers[chosen]
-        brighter = sum(self._windows.brighter[chosen])
         rates = [number / len(numbers) for number in (brighter, sum(numbers) - brighter)]
         still = change < STILL * self._noise
         alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
@@ -398,12 +414,12 @@ class Validity:
         # Whole numbers, so that thirds and fifths add up.
         step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
         self._untold = self._untold + step if untold else 0
-        if still and not many and alone < AT_REST * self._murmur:
+        rest = still and not many and alone < AT_REST * self._murmur
+        if rest:
+            self._pattern.learn(self._windows.events[chosen], (told.shape[0], told.shape[1]))
             self._rests += 1
             share = max(1.0 / self._rests, RISE)
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
-            if self._rests == 1:
-                self._rate = list(self._rest)
         found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
         return found | self._judge_agreement(change, events, correlation)
 
@@ -420,6 +436,8 @@ class Validity:
             clear = expected >= CLEARER and correlation < LEAST_CLEAR_AGREEMENT * expected
             if clear or self._expected >= EVIDENCE:
                 self._apart = clear or self._alike < LEAST_AGREEMENT * self._expected
+                if self._alike > CERTAIN_AGREEMENT * self._expected:
+                    self._pattern.confirm()
                 self._expected = self._alike = 0.0
         return {Reason.EVENTS_DISAGREE} if self._apart else set()
 
@@ -438,8 +456,7 @@ class Validity:
         return max(self._windows.numbers[near], default=0) > self._blow
 
     def _start_over(self) -> None:
-        self._windows = _Windows()
-        self._rate = list(self._rest)
+        self._windows, self._stretch = _Windows(), 0
         self._before, self._anchor = (0, None), None
 
 

@@ -284,11 +284,13 @@ def test_memory_does_not_grow(model, trial):
             estimator.push_frame(trial.frames[frame % 5], begin - 5000)
             run(estimator, begin, begin + FRAME_US)
 
-    second(START_US)
+    # Until all that is remembered of the latest five seconds is full.
+    for index in range(6):
+        second(START_US + index * 1_000_000)
     held = []
     tracemalloc.start()
     try:
-        for index in range(1, 6):
+        for index in range(6, 11):
             second(START_US + index * 1_000_000)
             gc.collect()
             held.append(tracemalloc.get_traced_memory()[0])

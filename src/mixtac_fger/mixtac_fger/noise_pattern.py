@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""The noise of an event camera as its fingerprint: events that are not of its pixels are found.
+
+No two pixels have the same noise: leak, thresholds and light differ, and some pixels are hot. How
+often a bin has an ON, or an OFF, event in 20 ms at rest is therefore a pattern p that belongs to
+the sensor and to the way in which its events arrive. It does not move with the skin. Where events
+are mirrored, shifted or inverted, or come from elsewhere, it is missing, in motion as at rest: long
+before two frames can be compared with the events between them.
+
+Whether a bin had an event in a stretch of 20 ms, s = 1 or 0, holds the pattern to the part
+
+.. math:: x = \frac{\sum_b a_b s_b}{\sum_b a_b p_b}, \qquad
+    \sigma_x^2 = \frac{\sum_b a_b^2 s_b}{(\sum_b a_b p_b)^2},
+
+where a is p less its local mean: what is smooth, as the light is, looks the same in a mirror. x is
+near 1, or near 0 where the pattern is missing, and :math:`(x_0 - x) / \sigma_x^2`, summed over
+stretches and never below 0, is the logarithm of how much likelier the latter has become (Page's
+test, 1954). Tiles with many more events than at rest have no part: they move.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_events.arrays import Events
+from mixtac_fger.comparisons import TILE_COLUMNS, TILE_ROWS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+F32 = NDArray[np.float32]
+
+RADIUS = 4
+"""Bins to each side over which a local mean is taken."""
+TILES = TILE_ROWS * TILE_COLUMNS
+
+
+@njit(cache=True, nogil=True)
+def pattern_sums(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    size: int,
+    local: F32,
+    seen: NDArray[np.int64],
+    number: int,
+    sums: NDArray[np.float64],
+) -> None:
+    """Find how much of a pattern is in the events of a stretch, tile by tile.
+
+    Args:
+        x: Columns, uint16 [n].
+        y: Rows, uint16 [n].
+        polarity: True where brighter, bool [n].
+        size: Pixels of a bin along each axis.
+        local: Pattern less its local mean, float32 [2, rows, columns] of bins; OFF first.
+        seen: Latest stretch in which each bin had an event, same shape; changed in place.
+        number: Number of this stretch.
+        sums: Written: of `local` over the bins with an event, of its square, and of the events;
+            float64 [3, TILES].
+    """
+    sums[:] = 0.0
+    rows, columns = local.shape[1:]
+    for index in range(x.shape[0]):
+        row, column, sign = y[index] // size, x[index] // size, np.int64(polarity[index])
+        if row < rows and column < columns:
+            tile = row * TILE_ROWS // rows * TILE_COLUMNS + column * TILE_COLUMNS // columns
+            sums[2, tile] += 1.0
+            if seen[sign, row, column] != number:
+                seen[sign, row, column] = number
+                value = np.float64(local[sign, row, column])
+                sums[0, tile] += value
+                sums[1, tile] += value * value
+
+
+@njit(cache=True, nogil=True)
+def add_seen(seen: NDArray[np.int64], number: int, share: float, pattern: F32) -> None:
+    """Let a pattern follow the bins that had an event in a stretch.
+
+    Args:
+        seen: Of `pattern_sums`.
+        number: Number of the stretch.
+        share: Weight of the stretch.
+        pattern: Share of stretches in which each bin had an event, float32 of the same shape.
+    """
+    old, new = np.float32(1.0 - share), np.float32(share)
+    before, now = pattern.reshape(-1), seen.reshape(-1)
+    for index in range(before.shape[0]):
+        before[index] = before[index] * old + (new if now[index] == number else np.float32(0.0))
+
+
+def less_local_mean(pattern: F32) -> F32:
+    """Return a pattern less its mean over `RADIUS` bins to each side.
+
+    Args:
+        pattern: float32 [..., rows, columns].
+    """
+    width = 2 * RADIUS + 1
+    around = [(0, 0)] * (pattern.ndim - 2)
+    padded = np.pad(pattern.astype(np.float64), [*around, *[(RADIUS, RADIUS)] * 2], mode='edge')
+    sums = np.pad(padded.cumsum(-2).cumsum(-1), [*around, (1, 0), (1, 0)])
+    box = sums[..., width:, :] - sums[..., :-width, :]
+    box = (box[..., width:] - box[..., :-width]) / width**2
+    return np.asarray(pattern - box, np.float32)
+
+
+class NoisePattern:
+    """Learns the pattern of a sensor's noise, and says whether events still hold it.
+
+    Args:
+        width: Columns of the sensor [px].
+        window_us: Length of a window [us].
+
+    Attributes:
+        missing: The latest events do not hold it.
+        windows: Windows of a stretch.
+    """
+
+    STRETCH_US: Final = 20_000
+    """Length of a stretch [us]."""
+    LEARNT: Final = 40
+    """Stretches at rest after which the pattern is known, and between two of its updates."""
+    JUDGED: Final = 8
+    """Further ones after which it is known how much of it events hold."""
+    KEPT: Final = 1000
+    """Stretches at rest of which it is the mean: it may change with the temperature."""
+    LEAST: Final = 0.4
+    """The x_0 of above."""
+    LIMIT: Final = 15.0
+    """Logarithm of the likelihood ratio from which on the pattern is missing, at 0 it is back. One
+    stretch counts for no more than half of it."""
+    MOVING, SPARE = 2.0, 3.0
+    """Events of a tile over those at rest, and beside them, beyond which it moves."""
+
+    def __init__(self, width: int, window_us: int) -> None:
+        self.windows = max(self.STRETCH_US // window_us, 1)
+        self._width = width
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the sensor."""
+        self._pattern: F32 | None = None
+        self._local: F32 | None = None
+        self._sums = np.zeros((3, TILES))
+        self._held, self._usual = np.zeros(TILES), np.zeros(TILES)
+        self._number = self._learnt = self._judged = 0
+        self._doubt = 0.0
+        self.missing = False
+
+    def confirm(self) -> None:
+        """Learn the pattern anew where it is missing: the events have proved to be right."""
+        if self.missing:
+            self.forget()
+
+    def judge(self, stretch: Events) -> None:
+        """Take the events of a stretch."""
+        if self._local is None or self._judged < self.JUDGED:
+            return
+        self._add_up(stretch, self._local)
+        both, squares, count = self._sums
+        still = count < self.MOVING * self._usual + self.SPARE
+        usual = float(self._usual @ still)
+        # With higher thresholds there are fewer events, of the same pattern.
+        share = min(float(count @ still) / usual, 1.0) if usual > 0.0 else 0.0
+        expected, found = share * float(self._held @ still), float(squares @ still)
+        if found > 0.0 and expected > 0.0:
+            step = (self.LEAST * expected - float(both @ still)) * expected / found
+            step = min(max(step, -self.LIMIT / 2.0), self.LIMIT / 2.0)
+            self._doubt = min(max(self._doubt + step, 0.0), self.LIMIT)
+        self.missing = self._doubt >= (1e-9 if self.missing else self.LIMIT)
+
+    def learn(self, parts: Sequence[Events], shape: tuple[int, int]) -> None:
+        """Learn from windows in which nothing moved.
+
+        Args:
+            parts: The windows; what is left beyond whole stretches is not used.
+            shape: Rows and columns of bins.
+        """
+        if self._pattern is None or self._pattern.shape[1:] != shape:
+            self.forget()
+            self._pattern = np.zeros((2, *shape), np.float32)
+            self._seen = np.zeros((2, *shape), np.int64)
+        if self.missing or self._doubt > self.LIMIT / 4.0:
+            return
+        for start in range(0, len(parts) - self.windows + 1, self.windows):
+            local = self._pattern if self._local is None else self._local
+            self._add_up(Events.concatenate(parts[start : start + self.windows]), local)
+            self._learnt += 1
+            share = max(1.0 / self._learnt, 1.0 / self.KEPT)
+            self._usual += share * (self._sums[2] - self._usual)
+            add_seen(self._seen, self._number, share, self._pattern)
+            if self._local is not None:
+                self._judged += 1
+                share = max(1.0 / self._judged, 1.0 / self.KEPT)
+                self._held += share * (self._sums[0] - self._held)
+            if self._learnt % self.LEARNT == 0:
+                self._local = less_local_mean(self._pattern)
+
+    def _add_up(self, events: Events, local: F32) -> None:
+        self._number += 1
+        size = self._width // local.shape[2]
+        pattern_sums(
+            events.x, events.y, events.polarity, size, local, self._seen, self._number, self._sums
+        )
+
+
+def warm_up() -> None:
+    """Compile what a stretch needs, so that the first one is not late."""
+    place, seen = np.zeros(1, np.uint16), np.zeros((2, 8, 8), np.int64)
+    pattern, sums = np.zeros((2, 8, 8), np.float32), np.zeros((3, TILES))
+    pattern_sums(place, place, np.ones(1, np.bool_), 4, pattern, seen, 1, sums)
+    add_seen(seen, 1, 0.5, pattern)
