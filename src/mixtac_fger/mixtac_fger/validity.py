@@ -73,9 +73,10 @@ TEXTS = {
     ' check the biases and restart the driver',
     Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
     ' for hot pixels, flicker and biases',
-    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, the same events come again'
-    ' and again, or their noise is not that of the pixels: check that both are of the same camera and'
-    ' neither is mirrored or late; after a change of the biases release the sensor and call ~/tare',
+    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
+    ' again and again, or their noise is not that of the pixels: check that both are of the same'
+    ' camera and neither is mirrored or late; after a change of biases release the sensor and call'
+    ' ~/tare',
     Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
     ' release the sensor and call ~/tare',
     Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
