@@ -21,7 +21,7 @@ test, 1954). Tiles with many more events than at rest have no part: they move.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
@@ -29,9 +29,6 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_fger.comparisons import TILE_COLUMNS, TILE_ROWS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 F32 = NDArray[np.float32]
 
@@ -47,7 +44,7 @@ def pattern_sums(
     polarity: NDArray[np.bool_],
     size: int,
     local: F32,
-    seen: NDArray[np.int64],
+    seen: NDArray[np.int32],
     number: int,
     sums: NDArray[np.float64],
 ) -> None:
@@ -67,7 +64,7 @@ def pattern_sums(
     sums[:] = 0.0
     rows, columns = local.shape[1:]
     for index in range(x.shape[0]):
-        row, column, sign = y[index] // size, x[index] // size, np.int64(polarity[index])
+        row, column, sign = y[index] // size, x[index] // size, np.int32(polarity[index])
         if row < rows and column < columns:
             tile = row * TILE_ROWS // rows * TILE_COLUMNS + column * TILE_COLUMNS // columns
             sums[2, tile] += 1.0
@@ -79,7 +76,43 @@ def pattern_sums(
 
 
 @njit(cache=True, nogil=True)
-def add_seen(seen: NDArray[np.int64], number: int, share: float, pattern: F32) -> None:
+def weigh(
+    sums: NDArray[np.float64],
+    held: NDArray[np.float64],
+    usual: NDArray[np.float64],
+    moving: float,
+    spare: float,
+) -> tuple[float, float, float, int]:
+    """Add up the tiles that do not move.
+
+    Args:
+        sums: Of `pattern_sums`.
+        held: What right events hold in a stretch at rest, float64 [TILES].
+        usual: Their number, float64 [TILES].
+        moving: Number of events over that at rest beyond which a tile moves.
+        spare: Events beside those.
+
+    Returns:
+        The numerator of x, the sum under the variance of x, and the numerator that right events
+        have: with higher thresholds there are fewer events, of the same pattern. And how many tiles
+        do not move.
+    """
+    still = 0
+    both = found = expected = count = before = np.float64(0.0)
+    for tile in range(usual.shape[0]):
+        if sums[2, tile] < moving * usual[tile] + spare:
+            still += 1
+            both += sums[0, tile]
+            found += sums[1, tile]
+            expected += held[tile]
+            count += sums[2, tile]
+            before += usual[tile]
+    share = min(count / before, np.float64(1.0)) if before > 0.0 else np.float64(0.0)
+    return both, found, expected * share, still
+
+
+@njit(cache=True, nogil=True)
+def add_seen(seen: NDArray[np.int32], number: int, share: float, pattern: F32) -> None:
     """Let a pattern follow the bins that had an event in a stretch.
 
     Args:
@@ -118,6 +151,7 @@ class NoisePattern:
 
     Attributes:
         missing: The latest events do not hold it.
+        storm: There are many more events than at rest, and everywhere.
         windows: Windows of a stretch.
     """
 
@@ -127,13 +161,17 @@ class NoisePattern:
     """Stretches at rest after which the pattern is known, and between two of its updates."""
     JUDGED: Final = 8
     """Further ones after which it is known how much of it events hold."""
-    KEPT: Final = 1000
-    """Stretches at rest of which it is the mean: it may change with the temperature."""
+    KEPT: Final = 500
+    """Stretches at rest of which it is the mean, once it is known one of four: it may change with
+    the temperature."""
     LEAST: Final = 0.4
     """The x_0 of above."""
     LIMIT: Final = 15.0
     """Logarithm of the likelihood ratio from which on the pattern is missing, at 0 it is back. One
     stretch counts for no more than half of it."""
+    STILL, STORMS = 5, 5
+    """Tiles below which nothing is still, and stretches of that in a row that are no motion: of 84
+    trials without a fault, blows and vibrations among them, none has more than two."""
     MOVING, SPARE = 2.0, 3.0
     """Events of a tile over those at rest, and beside them, beyond which it moves."""
 
@@ -148,9 +186,10 @@ class NoisePattern:
         self._local: F32 | None = None
         self._sums = np.zeros((3, TILES))
         self._held, self._usual = np.zeros(TILES), np.zeros(TILES)
-        self._number = self._learnt = self._judged = 0
+        self._number = self._rests = self._learnt = self._judged = 0
+        self._storms = 0
         self._doubt = 0.0
-        self.missing = False
+        self.missing = self.storm = False
 
     def confirm(self) -> None:
         """Learn the pattern anew where it is missing: the events have proved to be right."""
@@ -162,44 +201,43 @@ class NoisePattern:
         if self._local is None or self._judged < self.JUDGED:
             return
         self._add_up(stretch, self._local)
-        both, squares, count = self._sums
-        still = count < self.MOVING * self._usual + self.SPARE
-        usual = float(self._usual @ still)
-        # With higher thresholds there are fewer events, of the same pattern.
-        share = min(float(count @ still) / usual, 1.0) if usual > 0.0 else 0.0
-        expected, found = share * float(self._held @ still), float(squares @ still)
+        both, found, expected, still = weigh(
+            self._sums, self._held, self._usual, self.MOVING, self.SPARE
+        )
+        self._storms = self._storms + 1 if still < self.STILL else 0
+        self.storm = self._storms >= self.STORMS
         if found > 0.0 and expected > 0.0:
-            step = (self.LEAST * expected - float(both @ still)) * expected / found
+            step = (self.LEAST * expected - both) * expected / found
             step = min(max(step, -self.LIMIT / 2.0), self.LIMIT / 2.0)
             self._doubt = min(max(self._doubt + step, 0.0), self.LIMIT)
         self.missing = self._doubt >= (1e-9 if self.missing else self.LIMIT)
 
-    def learn(self, parts: Sequence[Events], shape: tuple[int, int]) -> None:
-        """Learn from windows in which nothing moved.
+    def learn(self, stretch: Events, shape: tuple[int, int]) -> None:
+        """Learn from a stretch in which nothing moved.
 
         Args:
-            parts: The windows; what is left beyond whole stretches is not used.
+            stretch: Its events.
             shape: Rows and columns of bins.
         """
         if self._pattern is None or self._pattern.shape[1:] != shape:
             self.forget()
             self._pattern = np.zeros((2, *shape), np.float32)
-            self._seen = np.zeros((2, *shape), np.int64)
-        if self.missing or self._doubt > self.LIMIT / 4.0:
+            self._seen = np.zeros((2, *shape), np.int32)
+        self._rests += 1
+        known = self._learnt >= 4 * self.LEARNT and self._rests % 4
+        if known or self.missing or self._doubt > self.LIMIT / 4.0:
             return
-        for start in range(0, len(parts) - self.windows + 1, self.windows):
-            local = self._pattern if self._local is None else self._local
-            self._add_up(Events.concatenate(parts[start : start + self.windows]), local)
-            self._learnt += 1
-            share = max(1.0 / self._learnt, 1.0 / self.KEPT)
-            self._usual += share * (self._sums[2] - self._usual)
-            add_seen(self._seen, self._number, share, self._pattern)
-            if self._local is not None:
-                self._judged += 1
-                share = max(1.0 / self._judged, 1.0 / self.KEPT)
-                self._held += share * (self._sums[0] - self._held)
-            if self._learnt % self.LEARNT == 0:
-                self._local = less_local_mean(self._pattern)
+        self._add_up(stretch, self._pattern if self._local is None else self._local)
+        self._learnt += 1
+        share = max(1.0 / self._learnt, 1.0 / self.KEPT)
+        self._usual += share * (self._sums[2] - self._usual)
+        add_seen(self._seen, self._number, share, self._pattern)
+        if self._local is not None:
+            self._judged += 1
+            share = max(1.0 / self._judged, 1.0 / self.KEPT)
+            self._held += share * (self._sums[0] - self._held)
+        if self._learnt % self.LEARNT == 0:
+            self._local = less_local_mean(self._pattern)
 
     def _add_up(self, events: Events, local: F32) -> None:
         self._number += 1
@@ -211,7 +249,8 @@ class NoisePattern:
 
 def warm_up() -> None:
     """Compile what a stretch needs, so that the first one is not late."""
-    place, seen = np.zeros(1, np.uint16), np.zeros((2, 8, 8), np.int64)
+    place, seen = np.zeros(1, np.uint16), np.zeros((2, 8, 8), np.int32)
     pattern, sums = np.zeros((2, 8, 8), np.float32), np.zeros((3, TILES))
     pattern_sums(place, place, np.ones(1, np.bool_), 4, pattern, seen, 1, sums)
+    weigh(sums, sums[0], sums[0], 2.0, 3.0)
     add_seen(seen, 1, 0.5, pattern)

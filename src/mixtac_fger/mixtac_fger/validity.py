@@ -123,6 +123,9 @@ LEAST_AGREEMENT, LEAST_CLEAR_AGREEMENT = 0.15, 0.3
 0.39 and more, of 1195 clear ones 0.57. What does not agree is not trusted until it does."""
 CERTAIN_AGREEMENT = 0.5
 """The same from which on events are right even if their noise has another pattern than before."""
+LEAST_ONE_WAY = 0.7
+"""ON less OFF events per bin over all events, below which something moved to and fro between two
+frames, of which they tell little: a weak vibration. In motion 0.7 and more, mostly 0.9."""
 BUSY_PER_MS = 750
 """Rate of a blow [events/ms]: its motion during an exposure is no fault."""
 BUSY_MARGIN_US = 8_000
@@ -157,8 +160,9 @@ STRETCHES_KNOWN = 256
 """Stretches of events that are known again, by their marks."""
 LEAST_MARKS, MOST_KNOWN = 4, 0.5
 """Share of marks that are known again, from so many marks on; without a fault none is."""
-WINDOWS_KEPT = 96
-"""Windows, at least, whose events are kept for the next frame."""
+WINDOWS_KEPT, MOST_OF_WINDOW = 96, 4096
+"""Windows, at least, whose events are kept for the next frame, and events of each: in twice a blow
+nobody looks at more."""
 
 
 def disagreement_scale(force: float) -> float:
@@ -194,22 +198,47 @@ class _Windows:
 
     Attributes:
         ends_us: Their ends.
-        events: Their events.
         numbers: The numbers of their events.
     """
 
     def __init__(self) -> None:
+        self._events = Events.empty(2 * WINDOWS_KEPT * MOST_OF_WINDOW)
+        self.clear()
+
+    def clear(self) -> None:
         self.ends_us: list[int] = []
-        self.events: list[Events] = []
         self.numbers: list[int] = []
+        self._starts = [0]
 
     def add(self, end_us: int, events: Events) -> None:
-        self.ends_us.append(end_us)
-        self.events.append(events)
-        self.numbers.append(events.t.shape[0])
         if len(self.numbers) == 2 * WINDOWS_KEPT:
-            for each in (self.ends_us, self.events, self.numbers):
-                del each[:WINDOWS_KEPT]
+            self._forget_first(WINDOWS_KEPT)
+        number = events.t.shape[0]
+        self.ends_us.append(end_us)
+        self.numbers.append(number)
+        if number > MOST_OF_WINDOW:
+            events, number = events[:MOST_OF_WINDOW], MOST_OF_WINDOW
+        start, room = self._starts[-1], self._events
+        self._starts.append(start + number)
+        # In one place, so that no later step has to put windows together.
+        into = slice(start, start + number)
+        room.t[into], room.x[into], room.y[into] = events.t, events.x, events.y
+        room.polarity[into] = events.polarity
+
+    def events(self, chosen: slice) -> Events:
+        """Return the events of windows, as views; of each the first `MOST_OF_WINDOW`."""
+        return self._events[self._starts[chosen.start] : self._starts[chosen.stop]]
+
+    def latest(self, count: int) -> slice:
+        """Return the last windows."""
+        return slice(len(self.numbers) - count, len(self.numbers))
+
+    def _forget_first(self, count: int) -> None:
+        kept = self._events[self._starts[count] : self._starts[-1]].copy()
+        for name in ('t', 'x', 'y', 'polarity'):
+            getattr(self._events, name)[: len(kept)] = getattr(kept, name)
+        self._starts = [start - self._starts[count] for start in self._starts[count:]]
+        del self.ends_us[:count], self.numbers[:count]
 
     def between(self, start_us: int, end_us: int) -> slice:
         """Return which windows end after a time, and not after another."""
@@ -250,7 +279,8 @@ class Validity:
         self._signs = np.zeros((0, 0), np.float32)
         self._stretch = self._age = self._untold = self._low = 0
         self._expected = self._alike = 0.0
-        self._apart = self._busy = self._vibrating = self._foreign = False
+        self._apart = self._busy = self._vibrating = False
+        self._foreign = self._unlike = False
         self._rested = 0
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
         self._frames, self._marks = _Recent(FRAMES_KNOWN), _Recent(STRETCHES_KNOWN)
@@ -289,7 +319,8 @@ class Validity:
     def _judge_stretch(self) -> None:
         """Look at the events of the latest windows alone."""
         count = self._pattern.windows
-        stretch = Events.concatenate(self._windows.events[-count:])
+        latest = self._windows.latest(count)
+        stretch = self._windows.events(latest)
         brighter = int(np.count_nonzero(stretch.polarity))
         for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
             usual = count * rest
@@ -300,8 +331,10 @@ class Validity:
         new = frozenset(room[:found].tolist())
         repeated = self._marks.add(new) > MOST_KNOWN * max(found, LEAST_MARKS)
         # A blow is not noise, wherever it is.
-        if max(self._windows.numbers[-count:]) <= self._blow:
+        if max(self._windows.numbers[latest]) <= self._blow:
             self._pattern.judge(stretch)
+        if self._pattern.storm:
+            self._held[Reason.EVENTS_WITHOUT_MOTION] = HOLD_FRAMES
         self._foreign = repeated or self._pattern.missing
         if self._foreign:
             self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
@@ -328,6 +361,11 @@ class Validity:
                 frame is neither compared with the events nor a picture of rest.
         """
         found = set() if picture is None else picture_findings(picture)
+        blow, unlike = self._is_blow(mid_us, mid_us), bool(found)
+        if blow and not self._unlike:
+            # A mixture of pictures, unless the next one is like it.
+            found.clear()
+        self._unlike = unlike
         if vibrating and not self._vibrating:
             # What was found was the vibration, and this is the first frame to lead the estimate.
             if not self._foreign:
@@ -339,7 +377,7 @@ class Validity:
         self._vibrating = vibrating
         if contrast is not None:
             found |= self._compare(mid_us, contrast)
-        if estimate is not None:
+        if estimate is not None and not blow:
             scale = disagreement_scale(max(abs(force), abs(estimate)))
             self._disagreements.append((force - estimate) / scale)
             total = abs(sum(self._disagreements))
@@ -368,7 +406,7 @@ class Validity:
             return set()
         told = np.zeros_like(contrast)
         # At once: a call of compiled code takes longer than the few events of a window.
-        events = Events.concatenate(self._windows.events[chosen])
+        events = self._windows.events(chosen)
         add_signs(events.x, events.y, events.polarity, self._width // contrast.shape[1], told)
         self._signs += told
         self._age += 1
@@ -416,22 +454,29 @@ class Validity:
         step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
         self._untold = self._untold + step if untold else 0
         rest = still and not many and alone < AT_REST * self._murmur
+        size = self._width // told.shape[1]
+        one_way = size * size * float(np.abs(told).sum()) >= LEAST_ONE_WAY * sum(numbers)
+        # No vibration that frames do not show, unless there always is one.
+        rest &= one_way or sum(rates) <= AT_REST * sum(self._rest)
         if rest:
-            self._pattern.learn(self._windows.events[chosen], (told.shape[0], told.shape[1]))
+            latest = slice(max(chosen.stop - self._pattern.windows, chosen.start), chosen.stop)
+            self._pattern.learn(self._windows.events(latest), (told.shape[0], told.shape[1]))
             self._rests += 1
             share = max(1.0 / self._rests, RISE)
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
         found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
-        return found | self._judge_agreement(change, events, correlation)
+        return found | self._judge_agreement(change, events, correlation, one_way=one_way)
 
-    def _judge_agreement(self, change: float, events: float, correlation: float) -> set[Reason]:
+    def _judge_agreement(
+        self, change: float, events: float, correlation: float, *, one_way: bool
+    ) -> set[Reason]:
         """Compare the correlation of frames and events with that of one motion in their noise."""
         expected = math.sqrt(
             _signal_share(change, self._noise) * _signal_share(events, self._murmur)
         )
         self._rested = 0 if expected >= CLEAR else self._rested + 1
         self._apart &= self._rested < RESTED
-        if not self._busy and expected >= CLEAR:
+        if one_way and not self._busy and expected >= CLEAR:
             self._expected += expected * expected
             self._alike += expected * correlation
             clear = expected >= CLEARER and correlation < LEAST_CLEAR_AGREEMENT * expected
@@ -451,13 +496,16 @@ class Validity:
 
     def _is_busy(self, start_us: int, end_us: int) -> bool:
         """Return whether there was a vibration, or a blow, in a comparison or at its ends."""
-        if self._vibrating:
-            return True
+        return self._vibrating or self._is_blow(start_us, end_us)
+
+    def _is_blow(self, start_us: int, end_us: int) -> bool:
+        """Return whether there was a blow between two times, or within half an exposure of them."""
         near = self._windows.between(start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US)
         return max(self._windows.numbers[near], default=0) > self._blow
 
     def _start_over(self) -> None:
-        self._windows, self._stretch = _Windows(), 0
+        self._windows.clear()
+        self._stretch = 0
         self._before, self._anchor = (0, None), None
 
 

@@ -284,12 +284,12 @@ def test_memory_does_not_grow(model, trial):
             estimator.push_frame(trial.frames[frame % 5], begin - 5000)
             run(estimator, begin, begin + FRAME_US)
 
-    # Until all that is remembered of the latest five seconds is full.
-    for index in range(6):
-        second(START_US + index * 1_000_000)
     held = []
     tracemalloc.start()
     try:
+        # Until all that is remembered of the latest five seconds is full.
+        for index in range(6):
+            second(START_US + index * 1_000_000)
         for index in range(6, 11):
             second(START_US + index * 1_000_000)
             gc.collect()
