@@ -39,6 +39,7 @@ class PictureFigures(NamedTuple):
             that is less: a pull on a wide contact moves more than half of the picture [bins].
         displacement: Displacement of the tile that moved most against the median tile [bins].
         outward: Mean component of the displacement away from where it is largest [bins].
+        clipped: Share of the picture that is all white.
     """
 
     likeness: float
@@ -49,6 +50,7 @@ class PictureFigures(NamedTuple):
     shift: float
     displacement: float
     outward: float
+    clipped: float = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +118,7 @@ def _border_median(values: NDArray[np.float64]) -> float:
 def picture_figures(
     reference: F32, image: F32, flow: F32
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Compare a picture with the reference; returns the fields of `PictureFigures`.
+    """Compare a picture with the reference; returns fields of `PictureFigures`, all but the last.
 
     Args:
         reference: Coarse log contrast without contact, float32 [rows, columns].

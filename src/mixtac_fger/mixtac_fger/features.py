@@ -215,6 +215,10 @@ class EventGuide:
     solvers: F32
 
 
+WHITE = 0.99
+"""Share of the largest value of a frame from which on its pixels tell no brightness."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrast:
     """Log contrast of one frame at the two resolutions in use.
@@ -222,10 +226,12 @@ class Contrast:
     Attributes:
         fine: For the event guide, float32 `FgerConfig.gradient_shape`.
         coarse: For the frame network, float32 `FgerConfig.frame_shape`.
+        clipped: Share of the fine bins in which the camera tells no brightness: all white.
     """
 
     fine: F32
     coarse: F32
+    clipped: float
 
 
 class FramePreparation:
@@ -263,7 +269,9 @@ class FramePreparation:
             )
         bin_mean(image, config.gradient_bin, self._fine)
         bin_mean(self._fine, config.frame_bin // config.gradient_bin, self._coarse)
-        result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse))
+        white = WHITE * np.iinfo(image.dtype).max
+        clipped = np.count_nonzero(self._fine > white) / self._fine.size
+        result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse), clipped)
         log_contrast(self._fine, config.log_floor, result.fine)
         log_contrast(self._coarse, config.log_floor, result.coarse)
         return result
@@ -307,7 +315,8 @@ class FramePreparation:
         """Return what the frame of the latest `network_input` has in common with the reference."""
         if not self._reads_flow:
             self._displace(contrast, reference)
-        return PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
+        found = PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
+        return found._replace(clipped=contrast.clipped)
 
     def moments(self) -> F32:
         """Return the moments of the displacement of the latest `network_input`, float32 [9].

@@ -94,6 +94,8 @@ LEAST_FADING, MOST_ROUGHNESS = 0.4, 1.8
 """Without a fault 0.63 to 1.31."""
 MOST_SHADING, MOST_UNEVENNESS = 0.17, 0.03
 """Without a fault up to 0.12 and 0.0125 [log units]."""
+MOST_CLIPPED = 0.01
+"""Share of the picture that may be white beyond what was at the start; without a fault none is."""
 MOST_SHIFT = 0.08
 """Without a fault up to 0.051 bins; a bin has four pixels."""
 SHADING_MOVED, SHIFT_MOVED = 0.06, 0.01
@@ -266,6 +268,7 @@ class Validity:
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
+        self._white = 1.0
         self._pattern = NoisePattern(self._width, self._window_us)
         self._held: dict[Reason, int] = {}
         self.clear()
@@ -360,12 +363,8 @@ class Validity:
             vibrating: The force vibrates, and the skin moves to and fro within an exposure: the
                 frame is neither compared with the events nor a picture of rest.
         """
-        found = set() if picture is None else picture_findings(picture)
-        blow, unlike = self._is_blow(mid_us, mid_us), bool(found)
-        if blow and not self._unlike:
-            # A mixture of pictures, unless the next one is like it.
-            found.clear()
-        self._unlike = unlike
+        blow = self._is_blow(mid_us, mid_us)
+        found = set() if picture is None else self._look(picture, blow=blow)
         if vibrating and not self._vibrating:
             # What was found was the vibration, and this is the first frame to lead the estimate.
             if not self._foreign:
@@ -389,6 +388,16 @@ class Validity:
             else:
                 del self._held[reason]
         self._held.update(dict.fromkeys(found, HOLD_FRAMES))
+
+    def _look(self, picture: PictureFigures, *, blow: bool) -> set[Reason]:
+        """Return what is wrong with the picture of a frame."""
+        found = picture_findings(picture)
+        self._white = min(self._white, picture.clipped)
+        if picture.clipped > self._white + MOST_CLIPPED:
+            found.add(Reason.LIGHT_CHANGED)
+        before, self._unlike = self._unlike, bool(found)
+        # A frame in a blow is a mixture of pictures, unless the next one is like it.
+        return set() if blow and not before else found
 
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
         """Return what the frame says about the events since the frames before it."""

@@ -102,6 +102,17 @@ def test_it_is_missing_in_wrong_events_and_back_with_the_right_ones(wrong, motio
     assert found == sorted(found, reverse=True)
 
 
+@pytest.mark.parametrize(('share', 'storm'), [(1.0, True), (0.6, False)])
+def test_many_events_everywhere_are_a_storm_and_in_a_part_a_motion(share: float, storm) -> None:
+    sensor = Sensor(12)
+    pattern = learnt(sensor)
+    for _ in range(10):
+        pattern.judge(moving(sensor.stretch(), sensor.random, share))
+    assert pattern.storm is storm
+    pattern.judge(sensor.stretch())
+    assert not pattern.storm
+
+
 def test_one_stretch_alone_is_never_enough() -> None:
     sensor, other = Sensor(1), Sensor(2, per_window=400.0)
     pattern = learnt(sensor)

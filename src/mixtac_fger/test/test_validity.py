@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -429,6 +430,101 @@ def test_the_rest_between_two_vibrations_is_learnt_from_neither():
             validity.frame(end, still, None, 0.0, 0.0, vibrating=shaken)
         validity.window(end, noise(end - 2000, end, 1000 if shaken else 60), complete=True)
         assert validity.reason is Reason.TRUSTED
+
+
+def test_a_picture_that_becomes_white_in_part_has_lost_its_light(encoded, trial):
+    validity = Validity(WINDOW_US, WIDTH)
+    white = (trial.frames[0].astype(np.uint16) << 6).copy()
+    for index, rows in enumerate((4, 4, 60, 60, 4)):
+        image = np.where(np.arange(260)[:, None] < rows, np.uint16(1023 << 6), white)
+        picture = encoded(trial.frames[0]).picture._replace(clipped=encoded(image).picture.clipped)
+        assert picture.clipped == pytest.approx(rows / 260, abs=0.02)
+        validity.frame(index * INTERVAL_US, None, picture, 0.0, None)
+        # What was white from the start is the sensor's own.
+        assert validity.reason is (Reason.TRUSTED if index < 2 else Reason.LIGHT_CHANGED)
+    validity.forget()
+    validity.frame(9 * INTERVAL_US, None, picture, 0.0, None)
+    assert validity.reason is Reason.TRUSTED
+
+
+@pytest.mark.parametrize('again', [False, True])
+def test_a_frame_in_a_blow_says_nothing_alone(encoded, trial, again):
+    validity = Validity(WINDOW_US, WIDTH)
+    blurred = encoded(noisy(gaussian_filter(trial.frames[0].astype(float), 12.0), 0))
+    assert picture_findings(blurred.picture)
+    sharp = encoded(trial.frames[0])
+    blow = 200_000
+    for end in range(WINDOW_US, 300_000, WINDOW_US):
+        count = 4000 if abs(end - blow) < 5000 else 60
+        validity.window(end, noise(end - WINDOW_US, end, count), complete=True)
+        if end % INTERVAL_US == 0:
+            wrong = end == blow or (again and end == blow + INTERVAL_US)
+            picture = (blurred if wrong else sharp).picture
+            validity.frame(end, None, picture, 2.0 if wrong else 0.0, 0.0)
+    found = Reason.PICTURE_UNLIKE_REFERENCE if again else Reason.TRUSTED
+    assert validity.reason is found
+
+
+def test_what_moves_to_and_fro_between_two_frames_is_not_compared_with_them():
+    random = np.random.default_rng(3)
+    pattern = random.normal(0.0, 0.5, (65, 86))
+    for mixed, expected in ((False, Reason.EVENTS_DISAGREE), (True, Reason.TRUSTED)):
+        validity = Validity(WINDOW_US, WIDTH)
+        before = np.zeros_like(pattern)
+        for index in range(16):
+            start = 1_000_000 + index * INTERVAL_US
+            after = pattern * 0.08 * (index % 2)
+            told = told_by_events(before[:, ::-1], after[:, ::-1], start, index)
+            if mixed:
+                back = replace(told, polarity=~told.polarity)
+                told = Events.concatenate([told, back, told])
+                told = told[np.argsort(told.t, kind='stable')]
+            for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
+                parts = [noise(end - 2000, end)] + [told.between(end - 2000, end)] * (index > 6)
+                validity.window(end, Events.concatenate(parts), complete=True)
+            shown = after if index > 6 else 0.0 * after
+            picture = (shown + random.normal(0.0, 0.01, shown.shape)).astype(np.float32)
+            validity.frame(start + INTERVAL_US, picture, None, 0.0, 0.0)
+            before = after
+            if index == 6:
+                assert validity.reason is Reason.TRUSTED
+        assert validity.reason is expected
+
+
+def own_noise(seed: int) -> Callable[[int], Events]:
+    """Return the noise of a sensor by the end of a window; each has pixels of its own."""
+    pixels = np.random.default_rng(seed)
+    rates = pixels.lognormal(0.0, 2.0, 260 * WIDTH)
+    chances = np.cumsum(rates) / rates.sum()
+
+    def window(end_us: int) -> Events:
+        random = np.random.default_rng(end_us + seed)
+        place = np.searchsorted(chances, random.random(60))
+        y, x = np.divmod(place, WIDTH)
+        t = np.sort(random.integers(end_us - WINDOW_US, end_us, 60))
+        # Pixels differ in their leak, too, which makes ON events.
+        sign = (place * 2654435761 >> 8) % 4 > 0
+        return Events(t, x.astype(np.uint16), y.astype(np.uint16), sign)
+
+    return window
+
+
+def test_events_of_another_sensor_are_found_at_rest():
+    random, own, other = np.random.default_rng(0), own_noise(1), own_noise(2)
+    validity = Validity(WINDOW_US, WIDTH)
+    reasons = {}
+    for end in range(WINDOW_US, 9_000_000, WINDOW_US):
+        wrong = 6_000_000 < end <= 7_000_000
+        validity.window(end, (other if wrong else own)(end), complete=True)
+        if end % INTERVAL_US == 0:
+            still = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+            validity.frame(end, still, None, 0.0, 0.0)
+        reasons[end] = validity.reason
+    wrong = [end for end, reason in reasons.items() if reason is not Reason.TRUSTED]
+    assert {reasons[end] for end in wrong} == {Reason.EVENTS_DISAGREE}
+    assert 6_000_000 < wrong[0] <= 6_200_000
+    assert 7_000_000 < wrong[-1] <= 7_500_000
+    assert wrong == list(range(wrong[0], wrong[-1] + 1, WINDOW_US))
 
 
 def test_every_reason_has_a_text():
