@@ -39,6 +39,7 @@ class PictureFigures(NamedTuple):
             that is less: a pull on a wide contact moves more than half of the picture [bins].
         displacement: Displacement of the tile that moved most against the median tile [bins].
         outward: Mean component of the displacement away from where it is largest [bins].
+        sharpness: Variance of a tile over that of the reference, the median of the tiles.
         clipped: Share of the picture that is all white.
     """
 
@@ -50,6 +51,7 @@ class PictureFigures(NamedTuple):
     shift: float
     displacement: float
     outward: float
+    sharpness: float
     clipped: float = 0.0
 
 
@@ -117,7 +119,7 @@ def _border_median(values: NDArray[np.float64]) -> float:
 @njit(cache=True, nogil=True, error_model='numpy')
 def picture_figures(
     reference: F32, image: F32, flow: F32
-) -> tuple[float, float, float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float, float]:
     """Compare a picture with the reference; returns fields of `PictureFigures`, all but the last.
 
     Args:
@@ -132,7 +134,7 @@ def picture_figures(
     count = tiles.shape[0]
     likeness, change = np.empty(count), np.empty(count)
     u, v = np.empty(count), np.empty(count)
-    fading, roughness = np.inf, 0.0
+    sharpness = np.empty(count)
     for index in range(count):
         tile = tiles[index]
         for place in range(TILE_SUMS - 1, -1, -1):
@@ -141,7 +143,7 @@ def picture_figures(
         here = tile[4] - tile[3] * tile[3] + LEAST_VARIANCE
         before = tile[7] - tile[6] * tile[6] + LEAST_VARIANCE
         likeness[index] = (tile[5] - tile[1] * tile[3] + LEAST_VARIANCE) / np.sqrt(moved * here)
-        fading, roughness = min(fading, here / before), max(roughness, here / before)
+        sharpness[index] = here / before
         change[index] = tile[3] - tile[1]
         u[index], v[index] = tile[8], tile[9]
     shift_x, shift_y = _median(u), _median(v)
@@ -158,6 +160,7 @@ def picture_figures(
     total += 1e-12
     _sort(change)
     _sort(likeness)
+    _sort(sharpness)
     middle_x = middle_y = outward = np.float64(0.0)
     for index in range(count):
         middle_x += squared[index] / total * (index % TILE_COLUMNS)
@@ -168,13 +171,14 @@ def picture_figures(
         outward += (u[index] * away_x + v[index] * away_y) / distance / count
     return (
         likeness[WORST_TILES],
-        fading,
-        roughness,
+        sharpness[0],
+        sharpness[-1],
         change[-1],
         change[count // 2],
         shift,
         np.sqrt(largest),
         outward,
+        sharpness[count // 2],
     )
 
 

@@ -35,6 +35,11 @@ F32 = NDArray[np.float32]
 RADIUS = 4
 """Bins to each side over which a local mean is taken."""
 TILES = TILE_ROWS * TILE_COLUMNS
+MOVING, SPARE = 2.0, 3.0
+"""Events of a tile over those at rest, and beside them, beyond which it moves."""
+MEMORY, SILENT, RARE = 5.0, 0.25, 5.0
+"""Stretches over which a tile is silent; events over those at rest below which it is, and standard
+deviations by which there are to be fewer, too."""
 
 
 @njit(cache=True, nogil=True)
@@ -80,27 +85,30 @@ def weigh(
     sums: NDArray[np.float64],
     held: NDArray[np.float64],
     usual: NDArray[np.float64],
-    moving: float,
-    spare: float,
-) -> tuple[float, float, float, int]:
-    """Add up the tiles that do not move.
+    recent: NDArray[np.float64],
+) -> tuple[float, float, float, int, int]:
+    """Add up the tiles that do not move, and count them and those that are silent.
 
     Args:
         sums: Of `pattern_sums`.
         held: What right events hold in a stretch at rest, float64 [TILES].
         usual: Their number, float64 [TILES].
-        moving: Number of events over that at rest beyond which a tile moves.
-        spare: Events beside those.
+        recent: Their number of late, same shape; follows the stretch.
 
     Returns:
         The numerator of x, the sum under the variance of x, and the numerator that right events
-        have: with higher thresholds there are fewer events, of the same pattern. And how many tiles
-        do not move.
+        have: with higher thresholds there are fewer events, of the same pattern. Then how many
+        tiles do not move, and how many are silent.
     """
-    still = 0
+    still = silent = 0
     both = found = expected = count = before = np.float64(0.0)
     for tile in range(usual.shape[0]):
-        if sums[2, tile] < moving * usual[tile] + spare:
+        recent[tile] += (sums[2, tile] - recent[tile]) / MEMORY
+        # What a mean with such a memory is the mean of.
+        number = (2.0 * MEMORY - 1.0) * usual[tile]
+        least = min(SILENT * number, number - RARE * np.sqrt(number))
+        silent += (2.0 * MEMORY - 1.0) * recent[tile] < least
+        if sums[2, tile] < MOVING * usual[tile] + SPARE:
             still += 1
             both += sums[0, tile]
             found += sums[1, tile]
@@ -108,7 +116,7 @@ def weigh(
             count += sums[2, tile]
             before += usual[tile]
     share = min(count / before, np.float64(1.0)) if before > 0.0 else np.float64(0.0)
-    return both, found, expected * share, still
+    return both, found, expected * share, still, silent
 
 
 @njit(cache=True, nogil=True)
@@ -152,6 +160,7 @@ class NoisePattern:
     Attributes:
         missing: The latest events do not hold it.
         storm: There are many more events than at rest, and everywhere.
+        silent: Parts of the sensor have hardly any events.
         windows: Windows of a stretch.
     """
 
@@ -164,7 +173,7 @@ class NoisePattern:
     KEPT: Final = 500
     """Stretches at rest of which it is the mean, once it is known one of four: it may change with
     the temperature."""
-    LEAST: Final = 0.4
+    LEAST: Final = 0.5
     """The x_0 of above."""
     LIMIT: Final = 15.0
     """Logarithm of the likelihood ratio from which on the pattern is missing, at 0 it is back. One
@@ -172,8 +181,8 @@ class NoisePattern:
     STILL, STORMS = 5, 5
     """Tiles below which nothing is still, and stretches of that in a row that are no motion: of 84
     trials without a fault, blows and vibrations among them, none has more than two."""
-    MOVING, SPARE = 2.0, 3.0
-    """Events of a tile over those at rest, and beside them, beyond which it moves."""
+    SILENT_TILES: Final = 2
+    """Tiles from which on a part of the sensor is silent."""
 
     def __init__(self, width: int, window_us: int) -> None:
         self.windows = max(self.STRETCH_US // window_us, 1)
@@ -187,9 +196,10 @@ class NoisePattern:
         self._sums = np.zeros((3, TILES))
         self._held, self._usual = np.zeros(TILES), np.zeros(TILES)
         self._number = self._rests = self._learnt = self._judged = 0
+        self._recent: NDArray[np.float64] | None = None
         self._storms = 0
         self._doubt = 0.0
-        self.missing = self.storm = False
+        self.missing = self.storm = self.silent = False
 
     def confirm(self) -> None:
         """Learn the pattern anew where it is missing: the events have proved to be right."""
@@ -201,9 +211,12 @@ class NoisePattern:
         if self._local is None or self._judged < self.JUDGED:
             return
         self._add_up(stretch, self._local)
-        both, found, expected, still = weigh(
-            self._sums, self._held, self._usual, self.MOVING, self.SPARE
+        if self._recent is None:
+            self._recent = self._usual.copy()
+        both, found, expected, still, silent = weigh(
+            self._sums, self._held, self._usual, self._recent
         )
+        self.silent = silent >= self.SILENT_TILES
         self._storms = self._storms + 1 if still < self.STILL else 0
         self.storm = self._storms >= self.STORMS
         if found > 0.0 and expected > 0.0:
@@ -252,5 +265,5 @@ def warm_up() -> None:
     place, seen = np.zeros(1, np.uint16), np.zeros((2, 8, 8), np.int32)
     pattern, sums = np.zeros((2, 8, 8), np.float32), np.zeros((3, TILES))
     pattern_sums(place, place, np.ones(1, np.bool_), 4, pattern, seen, 1, sums)
-    weigh(sums, sums[0], sums[0], 2.0, 3.0)
+    weigh(sums, sums[0], sums[0], sums[1])
     add_seen(seen, 1, 0.5, pattern)

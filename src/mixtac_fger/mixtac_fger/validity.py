@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
+from mixtac_fger.motion_agreement import MotionAgreement, pair_of
 from mixtac_fger.noise_pattern import NoisePattern
 
 if TYPE_CHECKING:
@@ -92,6 +93,8 @@ LEAST_LIKENESS = 0.75
 """Without a fault 0.86 or more."""
 LEAST_FADING, MOST_ROUGHNESS = 0.4, 1.8
 """Without a fault 0.63 to 1.31."""
+LEAST_SHARPNESS, MOST_SHARPNESS = 0.8, 1.25
+"""Without a fault 0.93 to 1.02 (34 trials)."""
 MOST_SHADING, MOST_UNEVENNESS = 0.17, 0.03
 """Without a fault up to 0.12 and 0.0125 [log units]."""
 MOST_CLIPPED = 0.01
@@ -114,17 +117,6 @@ JUDGEMENTS = 2
 """Slopes in a row that have to be too low; without a fault a single one of few bins."""
 LONGEST_COMPARISON = 12
 """Frames after which the comparison of frames and events starts over."""
-CLEAR, CLEARER, EVIDENCE = 0.3, 0.7, 0.6
-"""Correlation of two frames and the events between them, as both stand out of their noise, from
-which on it counts, and from which on one is clear; sum of its squares at which it is judged."""
-RESTED = 1500
-"""Frames below all that, a minute, after which what did not agree is forgotten: noise that has
-grown disagrees, too, until it has become what is usual."""
-LEAST_AGREEMENT, LEAST_CLEAR_AGREEMENT = 0.15, 0.3
-"""Correlation over the expected one. In 1631 judgements of 72 trials without a fault (15 minutes)
-0.39 and more, of 1195 clear ones 0.57. What does not agree is not trusted until it does."""
-CERTAIN_AGREEMENT = 0.5
-"""The same from which on events are right even if their noise has another pattern than before."""
 LEAST_ONE_WAY = 0.7
 """ON less OFF events per bin over all events, below which something moved to and fro between two
 frames, of which they tell little: a weak vibration. In motion 0.7 and more, mostly 0.9."""
@@ -281,10 +273,8 @@ class Validity:
         self._anchor: F32 | None = None
         self._signs = np.zeros((0, 0), np.float32)
         self._stretch = self._age = self._untold = self._low = 0
-        self._expected = self._alike = 0.0
-        self._apart = self._busy = self._vibrating = False
-        self._foreign = self._unlike = False
-        self._rested = 0
+        self._busy = self._vibrating = self._foreign = self._unlike = False
+        self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
         self._frames, self._marks = _Recent(FRAMES_KNOWN), _Recent(STRETCHES_KNOWN)
         if self._pattern.missing:
@@ -336,6 +326,8 @@ class Validity:
         # A blow is not noise, wherever it is.
         if max(self._windows.numbers[latest]) <= self._blow:
             self._pattern.judge(stretch)
+        if self._pattern.silent:
+            self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
         if self._pattern.storm:
             self._held[Reason.EVENTS_WITHOUT_MOTION] = HOLD_FRAMES
         self._foreign = repeated or self._pattern.missing
@@ -372,7 +364,7 @@ class Validity:
             self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
             self._disagreements.clear()
             self._untold = self._low = 0
-            self._apart, estimate = False, None
+            self._agreement, estimate = MotionAgreement(), None
         self._vibrating = vibrating
         if contrast is not None:
             found |= self._compare(mid_us, contrast)
@@ -445,7 +437,8 @@ class Validity:
         if Reason.EVENTS_MISSING in self._held:
             # Silence is no rest: it would become what is usual.
             return set()
-        change, events, correlation, *_ = agreement(before, contrast, told)
+        pair = pair_of(before, contrast, told, self._noise, self._murmur)
+        change, events, correlation = pair.change, pair.events, pair.correlation
         if not self._noise:
             self._noise, self._murmur = change, events
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
@@ -474,27 +467,12 @@ class Validity:
             share = max(1.0 / self._rests, RISE)
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
         found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
-        return found | self._judge_agreement(change, events, correlation, one_way=one_way)
-
-    def _judge_agreement(
-        self, change: float, events: float, correlation: float, *, one_way: bool
-    ) -> set[Reason]:
-        """Compare the correlation of frames and events with that of one motion in their noise."""
-        expected = math.sqrt(
-            _signal_share(change, self._noise) * _signal_share(events, self._murmur)
-        )
-        self._rested = 0 if expected >= CLEAR else self._rested + 1
-        self._apart &= self._rested < RESTED
-        if one_way and not self._busy and expected >= CLEAR:
-            self._expected += expected * expected
-            self._alike += expected * correlation
-            clear = expected >= CLEARER and correlation < LEAST_CLEAR_AGREEMENT * expected
-            if clear or self._expected >= EVIDENCE:
-                self._apart = clear or self._alike < LEAST_AGREEMENT * self._expected
-                if self._alike > CERTAIN_AGREEMENT * self._expected:
-                    self._pattern.confirm()
-                self._expected = self._alike = 0.0
-        return {Reason.EVENTS_DISAGREE} if self._apart else set()
+        self._agreement.pair(pair, usable=one_way and not self._busy)
+        if self._agreement.certain:
+            self._pattern.confirm()
+        if self._agreement.apart or self._agreement.late:
+            found.add(Reason.EVENTS_DISAGREE)
+        return found
 
     def _between(self, start_us: int, end_us: int) -> slice | None:
         """Return the windows between the centres of two exposures; None if some are missing."""
@@ -516,11 +494,7 @@ class Validity:
         self._windows.clear()
         self._stretch = 0
         self._before, self._anchor = (0, None), None
-
-
-def _signal_share(total: float, noise: float) -> float:
-    """Return the share of the variance that is not noise, of root mean squares."""
-    return 1.0 - min(noise / total, 1.0) ** 2 if total > 0.0 else 0.0
+        self._agreement.skip()
 
 
 class Release:
@@ -554,6 +528,7 @@ def picture_findings(picture: PictureFigures) -> set[Reason]:
     if picture.shift > MOST_SHIFT + SHIFT_MOVED * moved:
         found.add(Reason.CAMERA_MOVED)
     unlike = picture.likeness < LEAST_LIKENESS
+    unlike |= not LEAST_SHARPNESS <= picture.sharpness <= MOST_SHARPNESS
     if unlike or picture.fading < LEAST_FADING or picture.roughness > MOST_ROUGHNESS:
         found.add(Reason.PICTURE_UNLIKE_REFERENCE)
     return found
