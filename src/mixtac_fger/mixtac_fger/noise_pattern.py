@@ -35,8 +35,9 @@ F32 = NDArray[np.float32]
 RADIUS = 4
 """Bins to each side over which a local mean is taken."""
 TILES = TILE_ROWS * TILE_COLUMNS
-MOVING, SPARE = 2.0, 3.0
-"""Events of a tile over those at rest, and beside them, beyond which it moves."""
+MOVING, STORMY, SPARE = 2.0, 3.0, 3.0
+"""Events of a tile over those at rest beyond which it moves, and beyond which it is not calm, and
+events beside those."""
 MEMORY, SILENT, RARE = 5.0, 0.25, 5.0
 """Stretches over which a tile is silent; events over those at rest below which it is, and standard
 deviations by which there are to be fewer, too."""
@@ -87,7 +88,7 @@ def weigh(
     usual: NDArray[np.float64],
     recent: NDArray[np.float64],
 ) -> tuple[float, float, float, int, int]:
-    """Add up the tiles that do not move, and count them and those that are silent.
+    """Add up the tiles that do not move, and count those that are calm, and silent.
 
     Args:
         sums: Of `pattern_sums`.
@@ -98,9 +99,9 @@ def weigh(
     Returns:
         The numerator of x, the sum under the variance of x, and the numerator that right events
         have: with higher thresholds there are fewer events, of the same pattern. Then how many
-        tiles do not move, and how many are silent.
+        tiles are calm, and how many are silent.
     """
-    still = silent = 0
+    calm = silent = 0
     both = found = expected = count = before = np.float64(0.0)
     for tile in range(usual.shape[0]):
         recent[tile] += (sums[2, tile] - recent[tile]) / MEMORY
@@ -108,15 +109,15 @@ def weigh(
         number = (2.0 * MEMORY - 1.0) * usual[tile]
         least = min(SILENT * number, number - RARE * np.sqrt(number))
         silent += (2.0 * MEMORY - 1.0) * recent[tile] < least
+        calm += sums[2, tile] < STORMY * usual[tile] + SPARE
         if sums[2, tile] < MOVING * usual[tile] + SPARE:
-            still += 1
             both += sums[0, tile]
             found += sums[1, tile]
             expected += held[tile]
             count += sums[2, tile]
             before += usual[tile]
     share = min(count / before, np.float64(1.0)) if before > 0.0 else np.float64(0.0)
-    return both, found, expected * share, still, silent
+    return both, found, expected * share, calm, silent
 
 
 @njit(cache=True, nogil=True)
@@ -178,11 +179,13 @@ class NoisePattern:
     LIMIT: Final = 15.0
     """Logarithm of the likelihood ratio from which on the pattern is missing, at 0 it is back. One
     stretch counts for no more than half of it."""
-    STILL, STORMS = 5, 5
-    """Tiles below which nothing is still, and stretches of that in a row that are no motion: of 84
-    trials without a fault, blows and vibrations among them, none has more than two."""
-    SILENT_TILES: Final = 2
+    CALM, STORMS = 5, 5
+    """Calm tiles below which there is a storm, and stretches of that in a row that are no motion: of
+    84 trials without a fault, blows and vibrations among them, none has more than two."""
+    SILENT_TILES: Final = 6
     """Tiles from which on a part of the sensor is silent."""
+    STIRRED: Final = 2
+    """Tiles that may move at rest. Where nearly all do, the noise has grown."""
 
     def __init__(self, width: int, window_us: int) -> None:
         self.windows = max(self.STRETCH_US // window_us, 1)
@@ -213,11 +216,11 @@ class NoisePattern:
         self._add_up(stretch, self._local)
         if self._recent is None:
             self._recent = self._usual.copy()
-        both, found, expected, still, silent = weigh(
+        both, found, expected, calm, silent = weigh(
             self._sums, self._held, self._usual, self._recent
         )
         self.silent = silent >= self.SILENT_TILES
-        self._storms = self._storms + 1 if still < self.STILL else 0
+        self._storms = self._storms + 1 if calm < self.CALM else 0
         self.storm = self._storms >= self.STORMS
         if found > 0.0 and expected > 0.0:
             step = (self.LEAST * expected - both) * expected / found
@@ -241,6 +244,9 @@ class NoisePattern:
         if known or self.missing or self._doubt > self.LIMIT / 4.0:
             return
         self._add_up(stretch, self._pattern if self._local is None else self._local)
+        moving = np.count_nonzero(self._sums[2] > MOVING * self._usual + SPARE)
+        if self._local is not None and self.STIRRED < moving <= TILES - self.CALM:
+            return
         self._learnt += 1
         share = max(1.0 / self._learnt, 1.0 / self.KEPT)
         self._usual += share * (self._sums[2] - self._usual)
