@@ -180,12 +180,12 @@ class NoisePattern:
     """Logarithm of the likelihood ratio from which on the pattern is missing, at 0 it is back. One
     stretch counts for no more than half of it."""
     CALM, STORMS = 5, 5
-    """Calm tiles below which there is a storm, and stretches of that in a row that are no motion: of
-    84 trials without a fault, blows and vibrations among them, none has more than two."""
+    """Calm tiles below which there is a storm, and stretches of that in a row that are no motion:
+    of 84 trials without a fault, blows and vibrations among them, none has more than two."""
     SILENT_TILES: Final = 6
     """Tiles from which on a part of the sensor is silent."""
     STIRRED: Final = 2
-    """Tiles that may move at rest. Where nearly all do, the noise has grown."""
+    """Tiles that may move at rest."""
 
     def __init__(self, width: int, window_us: int) -> None:
         self.windows = max(self.STRETCH_US // window_us, 1)
@@ -244,8 +244,7 @@ class NoisePattern:
         if known or self.missing or self._doubt > self.LIMIT / 4.0:
             return
         self._add_up(stretch, self._pattern if self._local is None else self._local)
-        moving = np.count_nonzero(self._sums[2] > MOVING * self._usual + SPARE)
-        if self._local is not None and self.STIRRED < moving <= TILES - self.CALM:
+        if self._local is not None and self._stirred():
             return
         self._learnt += 1
         share = max(1.0 / self._learnt, 1.0 / self.KEPT)
@@ -257,6 +256,12 @@ class NoisePattern:
             self._held += share * (self._sums[0] - self._held)
         if self._learnt % self.LEARNT == 0:
             self._local = less_local_mean(self._pattern)
+
+    def _stirred(self) -> bool:
+        """Return whether something moves in a stretch, and not only the noise has grown."""
+        count, usual = self._sums[2], self._usual
+        grown = max(float(np.median(count / np.maximum(usual, 1.0))), 1.0)
+        return int(np.count_nonzero(count > grown * MOVING * usual + SPARE)) > self.STIRRED
 
     def _add_up(self, events: Events, local: F32) -> None:
         self._number += 1

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from mixtac_fger.comparisons import PictureFigures, picture_figures
 
@@ -45,3 +46,19 @@ def test_light_shades_a_picture_and_beads_that_move_do_not() -> None:
     )
     assert still.shading < 1e-3
     assert shaded.shading == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_lens_out_of_focus_takes_the_sharpness_and_a_contact_does_not() -> None:
+    random = np.random.default_rng(1)
+    reference = gaussian_filter(random.normal(size=SHAPE), 1.0).astype(np.float32)
+    flow = np.zeros((2, *SHAPE), np.float32)
+    pressed = reference.copy()
+    pressed[20:35, 20:40] *= 0.3
+
+    def sharpness(image: np.ndarray) -> float:
+        return PictureFigures(*picture_figures(reference, image, flow)).sharpness
+
+    assert sharpness(reference) == pytest.approx(1.0)
+    assert sharpness(pressed) == pytest.approx(1.0)
+    assert sharpness(gaussian_filter(reference, 0.8)) < 0.7
+    assert sharpness(1.5 * reference) == pytest.approx(2.25, rel=0.05)

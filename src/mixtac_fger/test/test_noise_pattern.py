@@ -113,6 +113,34 @@ def test_many_events_everywhere_are_a_storm_and_in_a_part_a_motion(share: float,
     assert not pattern.storm
 
 
+@pytest.mark.parametrize(('left', 'silent'), [(0.0, False), (0.1, False), (0.5, True), (1.0, True)])
+def test_parts_of_the_sensor_fall_silent(left: float, silent) -> None:
+    sensor = Sensor(14)
+    pattern = learnt(sensor)
+    for _ in range(15):
+        events = sensor.stretch()
+        pattern.judge(events[events.x >= left * WIDTH])
+    assert pattern.silent is silent
+    for _ in range(15):
+        pattern.judge(sensor.stretch())
+    assert not pattern.silent
+
+
+def test_noise_that_grows_everywhere_becomes_what_is_usual() -> None:
+    sensor = Sensor(15)
+    pattern = learnt(sensor)
+    sensor.per_window *= 2.5
+    for _ in range(2000):
+        stretch = sensor.stretch()
+        pattern.judge(stretch)
+        assert not pattern.storm
+        pattern.learn(stretch, SHAPE)
+    sensor.per_window *= 2.0
+    for _ in range(10):
+        pattern.judge(sensor.stretch())
+        assert not pattern.storm
+
+
 def test_one_stretch_alone_is_never_enough() -> None:
     sensor, other = Sensor(1), Sensor(2, per_window=400.0)
     pattern = learnt(sensor)
