@@ -3,9 +3,8 @@
 """Faults of camera, lamp, optics and transport, put into simulated trials.
 
 A fault is a change of the frames and events of a trial from some time on. `SEEN` faults were known
-when the checks of the force were made; no threshold was chosen by any of them. `UNSEEN` faults were
-written afterwards and tell what the checks are worth for faults that nobody thought of. `faults`
-judges them.
+when the checks of the force were made. `UNSEEN` faults were written afterwards and tell what the
+checks are worth for faults that nobody thought of. `faults` judges them.
 """
 
 from __future__ import annotations
@@ -113,14 +112,6 @@ def _frames_of_another(stream: Stream) -> None:
             stream.frames[index] = np.minimum(theirs, np.uint16(FULL_SCALE))
 
 
-def _all_of_another(stream: Stream) -> None:
-    _frames_of_another(stream)
-    events = stream.events[~stream.later]
-    stream.events = Events.concatenate(
-        [events, stream.other.events[stream.other.events.t >= stream.begin_us]]
-    )
-
-
 def _no_frames(stream: Stream) -> None:
     for index, middle in enumerate(stream.mid_us):
         if middle >= stream.begin_us:
@@ -141,6 +132,75 @@ def _events_in_a_loop(stream: Stream) -> None:
     end = int(events.t[-1])
     copies = [source.shifted(shift) for shift in range(length, end - begin, length)]
     stream.events = Events.concatenate([events[~stream.later], *copies])
+
+
+def _of_another(stream: Stream) -> None:
+    theirs = stream.other.events[stream.other.events.t >= stream.begin_us]
+    stream.events = Events.concatenate([stream.events[~stream.later], theirs])
+
+
+def _late_events(late_us: int) -> Fault:
+    return of_events(lambda events, _: events.shifted(late_us))
+
+
+def _late_frames(late: int) -> Fault:
+    """Return the fault that shows frames so many frames ago."""
+
+    def fault(stream: Stream) -> None:
+        shown = list(stream.frames)
+        for index, middle in enumerate(stream.mid_us):
+            if middle >= stream.begin_us and index >= late:
+                stream.frames[index] = shown[index - late]
+
+    return fault
+
+
+def _in_time(change: Callable[[NDArray[np.float64], float], NDArray[np.floating]]) -> Fault:
+    """Return the fault that changes every image by the time since its begin [s]."""
+
+    def fault(stream: Stream) -> None:
+        for index, (image, middle) in enumerate(zip(stream.frames, stream.mid_us, strict=True)):
+            if image is not None and middle >= stream.begin_us:
+                since_s = 1e-6 * float(middle - stream.begin_us)
+                found = change(image.astype(np.float64), since_s)
+                stream.frames[index] = np.clip(found, 0, FULL_SCALE).astype(np.uint16)
+
+    return fault
+
+
+def _losing_focus(image: NDArray[np.float64], since_s: float) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(image, 2.5 * min(since_s / 3.0, 1.0)))
+
+
+def _creeping(image: NDArray[np.float64], since_s: float) -> NDArray[np.float64]:
+    from scipy.ndimage import shift
+
+    return np.asarray(shift(image, (0.0, since_s), order=1, mode='nearest'))
+
+
+def _lit_from_one_side(image: NDArray[np.float64], since_s: float) -> NDArray[np.float64]:
+    return image * (1.0 + 0.5 * min(since_s / 2.0, 1.0) * np.linspace(-1.0, 1.0, image.shape[1]))
+
+
+def _smeared(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    y, x = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    return np.where((y - 150) ** 2 + (x - 200) ** 2 < 40**2, 0.7 * image, image)
+
+
+def _striped_dead(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    image[100:120] = 0.0
+    return image
+
+
+def _shuffled_rows(events: Events, random: Random) -> Events:
+    return replace(events, y=random.permutation(260)[events.y].astype(np.uint16))
+
+
+def _turned_events(events: Events, _: Random) -> Events:
+    x, y = (345 - events.x).astype(np.uint16), (259 - events.y).astype(np.uint16)
+    return replace(events, x=x, y=y)
 
 
 def _torn(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
@@ -266,7 +326,7 @@ SEEN: dict[str, Fault] = {
     'no events': of_events(lambda events, _: events[:0]),
     'one polarity only': of_events(_brighter),
     '200 hot pixels': of_events(_hot),
-    'another camera': _all_of_another,
+    'another camera': both(_frames_of_another, _of_another),
     'no frames': _no_frames,
     'picture inverted': of_images(lambda image, _: FULL_SCALE - image),
     'lens out of focus': of_images(_blurred),
@@ -274,6 +334,14 @@ SEEN: dict[str, Fault] = {
     'stray light': of_images(lambda image, _: image + 300.0),
     'events mirrored': of_events(_mirrored_events),
     'polarity inverted': of_events(lambda events, _: replace(events, polarity=~events.polarity)),
+    'columns and rows of events swapped': of_events(_swapped),
+    'events in a loop': _events_in_a_loop,
+    'events late by 30 ms': _late_events(30_000),
+    'events of the left half': of_events(lambda events, _: events[events.x < 173]),
+    'noise of 0.4 Mev/s': of_events(_noise_storm),
+    'exposure 5 times': of_images(lambda image, _: image * 5.0),
+    'focus lost within 3 s': _in_time(_losing_focus),
+    'frames late by 3': _late_frames(3),
 }
 """Faults that were known when the checks were made."""
 UNSEEN: dict[str, Fault] = {
@@ -285,9 +353,6 @@ UNSEEN: dict[str, Fault] = {
     'drop on the lens': of_images(_drop),
     'frames of another sensor': _frames_of_another,
     'frames in a loop': _frames_in_a_loop,
-    'events in a loop': _events_in_a_loop,
-    'columns and rows of events swapped': of_events(_swapped),
-    'noise of 0.4 Mev/s': of_events(_noise_storm),
     'a tenth of the events': of_events(
         lambda events, random: events[random.random(len(events)) < 0.1]
     ),
@@ -296,6 +361,32 @@ UNSEEN: dict[str, Fault] = {
         of_events(lambda events, _: replace(events, y=(259 - events.y).astype(np.uint16))),
     ),
     'two bits lost': of_images(lambda image, _: np.mod(image * 4.0, 1024.0)),
-    'exposure 5 times': of_images(lambda image, _: image * 5.0),
+    'events late by 10 ms': _late_events(10_000),
+    'events of another sensor': _of_another,
+    'events shifted by 5 px': of_events(
+        lambda events, _: replace(events, x=np.minimum(events.x + 5, 345).astype(np.uint16))
+    ),
+    'events turned by 180 degrees': of_events(_turned_events),
+    'rows of events shuffled': of_events(_shuffled_rows),
+    'polarity at random': of_events(
+        lambda events, random: replace(events, polarity=random.random(len(events)) < 0.5)
+    ),
+    'half of the events': of_events(
+        lambda events, random: events[random.random(len(events)) < 0.5]
+    ),
+    'events of every other row': of_events(lambda events, _: events[events.y % 2 == 0]),
+    'events twice': of_events(lambda events, _: events[np.repeat(np.arange(len(events)), 2)]),
+    'frames late by 1': _late_frames(1),
+    'frames upside down': of_images(lambda image, _: image[::-1]),
+    'noise of frames 5 times': of_images(
+        lambda image, random: image + random.normal(0.0, 15.0, image.shape)
+    ),
+    'light to 60 % at once': of_images(lambda image, _: image * 0.6),
+    'light fades by 10 % per s': _in_time(lambda image, since_s: image * np.exp(-0.1 * since_s)),
+    'light from one side': _in_time(_lit_from_one_side),
+    'camera creeps by 1 px per s': _in_time(_creeping),
+    'stripe of 20 rows dead': of_images(_striped_dead),
+    'beads fade': of_images(lambda image, _: image.mean() + 0.4 * (image - image.mean())),
+    'smear on the lens': of_images(_smeared),
 }
 """Faults that were written after the thresholds were set."""

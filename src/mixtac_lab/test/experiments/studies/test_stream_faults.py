@@ -59,7 +59,7 @@ def test_a_fault_changes_what_comes_after_its_begin_alone(trials, name):
     assert (np.diff(after.events.t) >= 0).all()
     same = len(after.events) == len(before.events) and all(
         np.array_equal(getattr(after.events, field), getattr(before.events, field))
-        for field in ('x', 'y', 'polarity')
+        for field in ('t', 'x', 'y', 'polarity')
     )
     assert any(changed) or not same
     assert all(image is None or image.max() <= 1023 for image in after.frames)
