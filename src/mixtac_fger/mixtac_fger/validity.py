@@ -21,7 +21,6 @@ more; none was chosen by a fault. `mixtac experiments faults` counts false alarm
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections import deque
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -29,12 +28,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
 from mixtac_fger.motion_agreement import MotionAgreement, pair_of
 from mixtac_fger.noise_pattern import NoisePattern
+from mixtac_fger.recent_events import Known, RecentWindows
 
 if TYPE_CHECKING:
+    from mixtac_events.arrays import Events
     from mixtac_fger.comparisons import PictureFigures
 
 F32 = NDArray[np.float32]
@@ -154,89 +154,11 @@ STRETCHES_KNOWN = 256
 """Stretches of events that are known again, by their marks."""
 LEAST_MARKS, MOST_KNOWN = 4, 0.5
 """Share of marks that are known again, from so many marks on; without a fault none is."""
-WINDOWS_KEPT, MOST_OF_WINDOW = 96, 4096
-"""Windows, at least, whose events are kept for the next frame, and events of each: in twice a blow
-nobody looks at more."""
 
 
 def disagreement_scale(force: float) -> float:
     """Return how far the frame's force and an estimate may differ [N]."""
     return 0.1 + 0.3 * abs(force)
-
-
-class _Recent:
-    """What the latest frames, or stretches of events, were known by; so many of them."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._groups: deque[frozenset[int]] = deque()
-        self._latest: dict[int, int] = {}
-        self._number = 0
-
-    def add(self, group: frozenset[int]) -> int:
-        """Add what one is known by; return how much of it was known before."""
-        known = len(group & self._latest.keys())
-        self._number += 1
-        self._latest.update(dict.fromkeys(group, self._number))
-        self._groups.append(group)
-        if len(self._groups) > self._most:
-            for each in self._groups.popleft():
-                # What came again since is still known.
-                if self._latest[each] <= self._number - self._most:
-                    del self._latest[each]
-        return known
-
-
-class _Windows:
-    """The latest windows, in order.
-
-    Attributes:
-        ends_us: Their ends.
-        numbers: The numbers of their events.
-    """
-
-    def __init__(self) -> None:
-        self._events = Events.empty(2 * WINDOWS_KEPT * MOST_OF_WINDOW)
-        self.clear()
-
-    def clear(self) -> None:
-        self.ends_us: list[int] = []
-        self.numbers: list[int] = []
-        self._starts = [0]
-
-    def add(self, end_us: int, events: Events) -> None:
-        if len(self.numbers) == 2 * WINDOWS_KEPT:
-            self._forget_first(WINDOWS_KEPT)
-        number = events.t.shape[0]
-        self.ends_us.append(end_us)
-        self.numbers.append(number)
-        if number > MOST_OF_WINDOW:
-            events, number = events[:MOST_OF_WINDOW], MOST_OF_WINDOW
-        start, room = self._starts[-1], self._events
-        self._starts.append(start + number)
-        # In one place, so that no later step has to put windows together.
-        into = slice(start, start + number)
-        room.t[into], room.x[into], room.y[into] = events.t, events.x, events.y
-        room.polarity[into] = events.polarity
-
-    def events(self, chosen: slice) -> Events:
-        """Return the events of windows, as views; of each the first `MOST_OF_WINDOW`."""
-        return self._events[self._starts[chosen.start] : self._starts[chosen.stop]]
-
-    def latest(self, count: int) -> slice:
-        """Return the last windows."""
-        return slice(len(self.numbers) - count, len(self.numbers))
-
-    def _forget_first(self, count: int) -> None:
-        kept = self._events[self._starts[count] : self._starts[-1]].copy()
-        for name in ('t', 'x', 'y', 'polarity'):
-            getattr(self._events, name)[: len(kept)] = getattr(kept, name)
-        self._starts = [start - self._starts[count] for start in self._starts[count:]]
-        del self.ends_us[:count], self.numbers[:count]
-
-    def between(self, start_us: int, end_us: int) -> slice:
-        """Return which windows end after a time, and not after another."""
-        return slice(bisect_right(self.ends_us, start_us), bisect_right(self.ends_us, end_us))
 
 
 class Validity:
@@ -267,7 +189,7 @@ class Validity:
 
     def clear(self) -> None:
         """Forget the stream: a restart of its clock. Noise levels are kept."""
-        self._windows = _Windows()
+        self._windows = RecentWindows()
         self._held.clear()
         self._before: tuple[int, F32 | None] = (0, None)
         self._anchor: F32 | None = None
@@ -276,7 +198,7 @@ class Validity:
         self._busy = self._vibrating = self._foreign = self._unlike = False
         self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
-        self._frames, self._marks = _Recent(FRAMES_KNOWN), _Recent(STRETCHES_KNOWN)
+        self._frames, self._marks = Known(FRAMES_KNOWN), Known(STRETCHES_KNOWN)
         if self._pattern.missing:
             self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 

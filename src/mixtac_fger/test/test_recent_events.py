@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The latest windows, and what is known again: against lists that forget nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_events.arrays import Events
+from mixtac_fger.recent_events import MOST_OF_WINDOW, WINDOWS_KEPT, Known, RecentWindows
+
+FIELDS = ('t', 'x', 'y', 'polarity')
+
+
+def events(seed: int, count: int) -> Events:
+    random = np.random.default_rng(seed)
+    return Events(
+        np.sort(random.integers(0, 2000, count)),
+        random.integers(0, 346, count).astype(np.uint16),
+        random.integers(0, 260, count).astype(np.uint16),
+        random.random(count) < 0.5,
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.integers(0, 40), min_size=1, max_size=500),
+    st.integers(1, WINDOWS_KEPT),
+    st.integers(0, 5000),
+)
+def test_the_latest_windows_are_as_they_came(numbers, count, large):
+    numbers[len(numbers) // 2] = large
+    windows, all_of_them = RecentWindows(), []
+    for index, number in enumerate(numbers):
+        window = events(index, number)
+        windows.add(2000 * (index + 1), window)
+        all_of_them.append(window[:MOST_OF_WINDOW])
+    count = min(count, len(numbers))
+    assert windows.numbers[-count:] == numbers[-count:]
+    found = windows.events(windows.latest(count))
+    expected = Events.concatenate(all_of_them[-count:])
+    assert all(np.array_equal(getattr(found, f), getattr(expected, f)) for f in FIELDS)
+    end_us = 2000 * len(numbers)
+    assert windows.between(end_us - 2000 * count, end_us) == windows.latest(count)
+    assert windows.between(end_us, end_us + 1).start == windows.latest(0).stop
+    windows.clear()
+    assert windows.numbers == windows.ends_us == []
+
+
+@given(st.lists(st.frozensets(st.integers(0, 20), max_size=5), max_size=60), st.integers(1, 8))
+def test_what_was_among_the_latest_is_known(groups, most):
+    known = Known(most)
+    for index, group in enumerate(groups):
+        before = frozenset().union(*groups[max(index - most, 0) : index])
+        assert known.add(group) == len(group & before)
