@@ -269,7 +269,7 @@ class FramePreparation:
             )
         bin_mean(image, config.gradient_bin, self._fine)
         bin_mean(self._fine, config.frame_bin // config.gradient_bin, self._coarse)
-        white = WHITE * np.iinfo(image.dtype).max
+        white = WHITE * np.iinfo(image.dtype).max if image.dtype.kind == 'u' else np.inf
         clipped = np.count_nonzero(self._fine > white) / self._fine.size
         result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse), clipped)
         log_contrast(self._fine, config.log_floor, result.fine)
