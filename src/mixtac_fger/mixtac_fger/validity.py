@@ -283,7 +283,8 @@ class Validity:
             # What was found was the vibration, and this is the first frame to lead the estimate.
             if not self._foreign:
                 self._held.pop(Reason.EVENTS_DISAGREE, None)
-            self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
+            if not self._pattern.storm:
+                self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
             self._disagreements.clear()
             self._untold = self._low = 0
             self._agreement, estimate = MotionAgreement(), None
