@@ -38,6 +38,8 @@ TILES = TILE_ROWS * TILE_COLUMNS
 MOVING, STORMY, SPARE = 2.0, 3.0, 3.0
 """Events of a tile over those at rest beyond which it moves, and beyond which it is not calm, and
 events beside those."""
+FEW = 20
+"""Events of a stretch below which nothing is said of their pattern."""
 MEMORY, SILENT, RARE = 5.0, 0.25, 5.0
 """Stretches over which a tile is silent; events over those at rest below which it is, and standard
 deviations by which there are to be fewer, too."""
@@ -116,7 +118,8 @@ def weigh(
             expected += held[tile]
             count += sums[2, tile]
             before += usual[tile]
-    share = min(count / before, np.float64(1.0)) if before > 0.0 else np.float64(0.0)
+    # A handful of events has a pattern of its own.
+    share = min(count / before, np.float64(1.0)) if min(count, before) >= FEW else np.float64(0.0)
     return both, found, expected * share, calm, silent
 
 

@@ -12,9 +12,10 @@ from collections import deque
 
 from mixtac_events.arrays import Events
 
-WINDOWS_KEPT, MOST_OF_WINDOW = 96, 4096
-"""Windows, at least, whose events are kept for the next frame, and events of each: in twice a blow
-nobody looks at more."""
+KEPT_US = 500_000
+"""Time, at least, whose events are kept for the next frame [us]."""
+MOST_PER_MS = 2048
+"""Events of a window that are kept [1/ms]: in twice a blow nobody looks at more."""
 
 
 class Known:
@@ -47,13 +48,19 @@ class Known:
 class RecentWindows:
     """The latest windows, in order.
 
+    Args:
+        window_us: Length of a window [us].
+
     Attributes:
         ends_us: Their ends.
         numbers: The numbers of their events.
+        most: Number of events of a window that are kept.
     """
 
-    def __init__(self) -> None:
-        self._events = Events.empty(2 * WINDOWS_KEPT * MOST_OF_WINDOW)
+    def __init__(self, window_us: int) -> None:
+        self.most = max(MOST_PER_MS * window_us // 1000, 1)
+        self._kept = -(-KEPT_US // window_us)
+        self._events = Events.empty(2 * self._kept * self.most)
         self.clear()
 
     def clear(self) -> None:
@@ -69,13 +76,13 @@ class RecentWindows:
             end_us: Its end, camera clock [us].
             events: Its events.
         """
-        if len(self.numbers) == 2 * WINDOWS_KEPT:
-            self._forget_first(WINDOWS_KEPT)
+        if len(self.numbers) == 2 * self._kept:
+            self._forget_first(self._kept)
         number = events.t.shape[0]
         self.ends_us.append(end_us)
         self.numbers.append(number)
-        if number > MOST_OF_WINDOW:
-            events, number = events[:MOST_OF_WINDOW], MOST_OF_WINDOW
+        if number > self.most:
+            events, number = events[: self.most], self.most
         start, room = self._starts[-1], self._events
         self._starts.append(start + number)
         # In one place, so that no later step has to put windows together.
@@ -84,7 +91,7 @@ class RecentWindows:
         room.polarity[into] = events.polarity
 
     def events(self, chosen: slice) -> Events:
-        """Return the events of windows, as views; of each the first `MOST_OF_WINDOW`."""
+        """Return the events of windows, as views; of each the first `most`."""
         return self._events[self._starts[chosen.start] : self._starts[chosen.stop]]
 
     def latest(self, count: int) -> slice:

@@ -330,6 +330,11 @@ class ForceEstimator:
         Raises:
             TareError: Not ready, in contact, too few still frames, or a model without reference.
         """
+        self._renew_reference()
+        self._validity.forget()
+
+    def _renew_reference(self) -> None:
+        """Make the present state zero; raises as `tare`."""
         reference = self._estimator.reference
         if reference is None:
             raise TareError(
@@ -349,7 +354,6 @@ class ForceEstimator:
         reference.renew()
         self._other_camera = False
         self._estimator.clear()
-        self._validity.forget()
         self._release, self._zero = Release(), ZeroWatch()
         self._recent.clear()
 
@@ -568,8 +572,10 @@ class ForceEstimator:
             return
         reference = self._estimator.reference
         replaced = reference is not None and frame.reference != reference.number
-        if frame.mid_us < self._since_us or replaced:
-            # Exposed before events were lost, or compared with a reference that was replaced.
+        earlier = self._frame is not None and frame.mid_us <= self._frame.mid_us
+        if frame.mid_us < self._since_us or replaced or earlier:
+            # Exposed before events were lost, or before the frame before; or compared with a
+            # reference that was replaced.
             self._count.frames_dropped += 1
             return
         kept = reference is not None and reference.kept
@@ -587,7 +593,9 @@ class ForceEstimator:
         self._count.frames += 1
         if self.tare_on_release and self._zero.due:
             with contextlib.suppress(TareError):
-                self.tare()
+                self._renew_reference()
+                # Of the same sensor: what is usual of it stays.
+                self._validity.clear()
                 self._count.tares += 1
 
     def _forget(self, *, hole: bool = False) -> None:

@@ -71,9 +71,10 @@ TEXTS = {
     ' release the sensor and call ~/tare',
     Reason.FRAME_FROZEN: 'the camera sends the same frames again and again: restart the driver',
     Reason.EVENTS_MISSING: 'there are no events, or too few for the motion that the frames show:'
-    ' check the biases and restart the driver',
+    ' check the biases and restart the driver; if so few are right, release the sensor and call'
+    ' ~/tare',
     Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
-    ' for hot pixels, flicker and biases',
+    ' for hot pixels, flicker and biases; if so many are right, release the sensor and call ~/tare',
     Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
     ' again and again, or their noise is not that of the pixels: check that both are of the same'
     ' camera and neither is mirrored or late; after a change of biases release the sensor and call'
@@ -128,6 +129,8 @@ MOST_UNTOLD, STILL, UNTOLD_FRAMES, UNTOLD_BLOWS = 4.0, 1.3, 3, 5
 """Events over those at rest while the change of frames over that at rest is below the second, in so
 many frames in a row, or so many with a blow each between them and the one before; without a fault
 two in a row at most, from blows between two frames."""
+FEW_EVENTS = 10
+"""Events between two frames that are no motion, however quiet the sensor is."""
 UNTOLD = UNTOLD_FRAMES * UNTOLD_BLOWS
 LEAST_RATE, RARE = 0.25, 5.0
 """Rate of a polarity over that at rest, without a fault 0.5 and more; standard deviations by which
@@ -182,14 +185,14 @@ class Validity:
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
-        self._white = 1.0
+        self._white: float | None = None
         self._pattern = NoisePattern(self._width, self._window_us)
         self._held: dict[Reason, int] = {}
         self.clear()
 
     def clear(self) -> None:
         """Forget the stream: a restart of its clock. Noise levels are kept."""
-        self._windows = RecentWindows()
+        self._windows = RecentWindows(self._window_us)
         self._held.clear()
         self._before: tuple[int, F32 | None] = (0, None)
         self._anchor: F32 | None = None
@@ -205,7 +208,8 @@ class Validity:
     def skip(self) -> None:
         """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
         self._start_over()
-        self._untold = self._low = 0
+        self._windows.clear()
+        self._stretch = self._untold = self._low = 0
         self._vibrating = False
         self._disagreements.clear()
 
@@ -291,6 +295,9 @@ class Validity:
         self._vibrating = vibrating
         if contrast is not None:
             found |= self._compare(mid_us, contrast)
+        # Also where no two frames can be compared: packets are lost again and again.
+        if self._agreement.apart or self._agreement.late:
+            found.add(Reason.EVENTS_DISAGREE)
         if estimate is not None and not blow:
             scale = disagreement_scale(max(abs(force), abs(estimate)))
             self._disagreements.append((force - estimate) / scale)
@@ -307,9 +314,13 @@ class Validity:
     def _look(self, picture: PictureFigures, *, blow: bool) -> set[Reason]:
         """Return what is wrong with the picture of a frame."""
         found = picture_findings(picture)
-        self._white = min(self._white, picture.clipped)
+        if self._white is None:
+            self._white = picture.clipped
         if picture.clipped > self._white + MOST_CLIPPED:
             found.add(Reason.LIGHT_CHANGED)
+        else:
+            # A contact may hide what is white.
+            self._white += RISE * max(picture.clipped - self._white, 0.0)
         before, self._unlike = self._unlike, bool(found)
         # A frame in a blow is a mixture of pictures, unless the next one is like it.
         return set() if blow and not before else found
@@ -337,9 +348,10 @@ class Validity:
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
         brighter = int(np.count_nonzero(events.polarity))
+        signs = brighter, len(events) - brighter
         found = set()
         if not self._vibrating:
-            found = self._judge_pair(before, contrast, told, chosen, brighter)
+            found = self._judge_pair(before, contrast, told, chosen, signs)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
         if strong >= STRONG_BINS and not self._busy:
             low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
@@ -354,38 +366,41 @@ class Validity:
         return found
 
     def _judge_pair(
-        self, before: F32, contrast: F32, told: F32, chosen: slice, brighter: int
+        self, before: F32, contrast: F32, told: F32, chosen: slice, signs: tuple[int, int]
     ) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
         if Reason.EVENTS_MISSING in self._held:
             # Silence is no rest: it would become what is usual.
             return set()
-        pair = pair_of(before, contrast, told, self._noise, self._murmur)
+        size = self._width // told.shape[1]
+        # What a few events make: they come and go.
+        few = math.sqrt(FEW_EVENTS / told.size) / (size * size)
+        pair = pair_of(before, contrast, told, self._noise, max(self._murmur, few))
         change, events, correlation = pair.change, pair.events, pair.correlation
         if not self._noise:
             self._noise, self._murmur = change, events
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
         self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
         numbers = self._windows.numbers[chosen]
-        rates = [number / len(numbers) for number in (brighter, sum(numbers) - brighter)]
+        rates = [number / len(numbers) for number in signs]
         still = change < STILL * self._noise
         alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
         # A blow makes many events in a few windows, a storm in all of them.
         most = MOST_RATE * sum(self._rest)
         many = 0.0 < most < min(numbers)
-        untold = still and (many or alone > MOST_UNTOLD * self._murmur)
+        untold = still and (many or alone > MOST_UNTOLD * max(self._murmur, few))
         blow = not many and max(numbers) > self._blow
         # Whole numbers, so that thirds and fifths add up.
         step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
         self._untold = self._untold + step if untold else 0
-        rest = still and not many and alone < AT_REST * self._murmur
-        size = self._width // told.shape[1]
+        rest = still and not many and alone < AT_REST * max(self._murmur, few)
         one_way = size * size * float(np.abs(told).sum()) >= LEAST_ONE_WAY * sum(numbers)
         # No vibration that frames do not show, unless there always is one.
         rest &= one_way or sum(rates) <= AT_REST * sum(self._rest)
         if rest:
-            latest = slice(max(chosen.stop - self._pattern.windows, chosen.start), chosen.stop)
-            self._pattern.learn(self._windows.events(latest), (told.shape[0], told.shape[1]))
+            latest = slice(chosen.stop - self._pattern.windows, chosen.stop)
+            if latest.start >= 0:
+                self._pattern.learn(self._windows.events(latest), (told.shape[0], told.shape[1]))
             self._rests += 1
             share = max(1.0 / self._rests, RISE)
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
@@ -393,8 +408,6 @@ class Validity:
         self._agreement.pair(pair, usable=one_way and not self._busy)
         if self._agreement.certain:
             self._pattern.confirm()
-        if self._agreement.apart or self._agreement.late:
-            found.add(Reason.EVENTS_DISAGREE)
         return found
 
     def _between(self, start_us: int, end_us: int) -> slice | None:
@@ -402,7 +415,7 @@ class Validity:
         half = self._window_us // 2
         chosen = self._windows.between(start_us + half, end_us + half)
         count, whole = chosen.stop - chosen.start, (end_us - start_us) // self._window_us
-        return chosen if count and whole - 1 <= count <= whole + 1 else None
+        return chosen if count > 0 and whole - 1 <= count <= whole + 1 else None
 
     def _is_busy(self, start_us: int, end_us: int) -> bool:
         """Return whether there was a vibration, or a blow, in a comparison or at its ends."""
@@ -414,8 +427,6 @@ class Validity:
         return max(self._windows.numbers[near], default=0) > self._blow
 
     def _start_over(self) -> None:
-        self._windows.clear()
-        self._stretch = 0
         self._before, self._anchor = (0, None), None
         self._agreement.skip()
 

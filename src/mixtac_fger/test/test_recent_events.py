@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
-from mixtac_fger.recent_events import MOST_OF_WINDOW, WINDOWS_KEPT, Known, RecentWindows
+from mixtac_fger.recent_events import KEPT_US, Known, RecentWindows
 
 FIELDS = ('t', 'x', 'y', 'polarity')
 
@@ -24,19 +24,19 @@ def events(seed: int, count: int) -> Events:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
-    st.lists(st.integers(0, 40), min_size=1, max_size=500),
-    st.integers(1, WINDOWS_KEPT),
+    st.lists(st.integers(0, 40), min_size=1, max_size=1200),
+    st.integers(1, KEPT_US // 2000),
     st.integers(0, 5000),
 )
 def test_the_latest_windows_are_as_they_came(numbers, count, large):
     numbers[len(numbers) // 2] = large
-    windows, all_of_them = RecentWindows(), []
+    windows, all_of_them = RecentWindows(2000), []
     for index, number in enumerate(numbers):
         window = events(index, number)
         windows.add(2000 * (index + 1), window)
-        all_of_them.append(window[:MOST_OF_WINDOW])
+        all_of_them.append(window[: windows.most])
     count = min(count, len(numbers))
     assert windows.numbers[-count:] == numbers[-count:]
     found = windows.events(windows.latest(count))

@@ -394,3 +394,17 @@ def correcting_model() -> Model:
         hidden[row, 0], hidden[row, 1:] = -sign, 0.3 * sign
         output[0, row] = sign
     return model
+
+
+def test_a_frame_that_comes_after_a_later_one_is_left_out(model, trial):
+    estimator = ready(model, trial)
+    run(estimator, START_US, START_US + 80_000)
+    estimator.push_frame(trial.frames[1], START_US + 60_000)
+    assert run(estimator, START_US + 80_000, START_US + 90_000)
+    before = estimator.status()
+    for late_us in (0, 2000, 40_000):
+        estimator.push_frame(trial.frames[2], START_US + 60_000 - late_us)
+        assert run(estimator, START_US + 90_000, START_US + 100_000) is not None
+    after = estimator.status()
+    assert after.frames == before.frames
+    assert after.frames_dropped == before.frames_dropped + 3

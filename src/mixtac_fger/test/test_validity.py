@@ -527,5 +527,41 @@ def test_events_of_another_sensor_are_found_at_rest():
     assert wrong == list(range(wrong[0], wrong[-1] + 1, WINDOW_US))
 
 
+@pytest.mark.parametrize('events', [1, 2, 4])
+def test_few_events_of_a_quiet_sensor_are_no_motion(events):
+    random, validity = np.random.default_rng(events), Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 8_000_000, WINDOW_US):
+        told = noise(end - WINDOW_US, end, int(random.random() < events * WINDOW_US / INTERVAL_US))
+        validity.window(end, told, complete=True)
+        if end % INTERVAL_US == 0:
+            still = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+            validity.frame(end, still, None, 0.0, 0.0)
+        assert validity.reason is Reason.TRUSTED
+
+
+def test_packets_that_are_lost_again_and_again_hide_no_fault():
+    random, own, other = np.random.default_rng(0), own_noise(1), own_noise(2)
+    validity = Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 8_000_000, WINDOW_US):
+        late = end > 5_000_000
+        lost = late and end % (9 * WINDOW_US) == 0
+        validity.window(end, (other if late else own)(end), complete=not lost)
+        if end % INTERVAL_US == 0:
+            still = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+            validity.frame(end, still, None, 0.0, 0.0)
+        if end <= 5_000_000:
+            assert validity.reason is Reason.TRUSTED
+        elif end > 5_300_000:
+            assert validity.reason is Reason.EVENTS_DISAGREE
+
+
+def test_a_frame_before_the_one_before_is_no_error():
+    validity, picture = Validity(WINDOW_US, WIDTH), np.zeros((65, 86), np.float32)
+    for end in range(WINDOW_US, 400_000, WINDOW_US):
+        validity.window(end, noise(end - WINDOW_US, end), complete=True)
+    for index, mid_us in enumerate((200_000, 160_000, 198_000, 240_000)):
+        validity.frame(mid_us, picture + np.float32(index), None, 0.0, 0.0)
+
+
 def test_every_reason_has_a_text():
     assert len({reason.text for reason in Reason}) == len(Reason)
