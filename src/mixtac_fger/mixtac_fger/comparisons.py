@@ -225,7 +225,8 @@ def marks(
 ) -> int:
     """Find places in a stream of events by which it is known again, wherever it is cut.
 
-    A mark is a hash of four events in a row and of the time from the first to the last.
+    A mark is a hash of four events in a row, and of the time from the first to the last; no pixel
+    may be among them twice, since a few hot pixels come again and again.
 
     Args:
         t: Times [us], int64 [n].
@@ -241,6 +242,12 @@ def marks(
     for index in range(x.shape[0] - 3):
         if found == out.shape[0]:
             break
+        alike = False
+        for place in range(index, index + 3):
+            for other in range(place + 1, index + 4):
+                alike |= x[place] == x[other] and y[place] == y[other]
+        if alike:
+            continue
         mark = np.uint64(t[index + 3] - t[index])
         for place in range(index, index + 4):
             pixel = (np.uint64(y[place]) << np.uint64(16)) | np.uint64(x[place])
