@@ -113,14 +113,13 @@ class MotionAgreement:
             pair: Them, and the events between them.
             usable: Whether they can be compared with these: no blow, no motion to and fro.
         """
-        latest, self._latest = self._latest, pair
+        latest, self._latest = self._latest, pair if usable else None
         self.certain = False
         expected = math.sqrt(pair.changed * pair.moved)
         self._rested = 0 if expected >= CLEAR else self._rested + 1
         if self._rested >= RESTED:
             self.apart = self.late = False
         if not usable:
-            self._latest = None
             return
         if expected >= CLEAR:
             self._judge(pair, expected)

@@ -16,7 +16,7 @@ Whether a bin had an event in a stretch of 20 ms, s = 1 or 0, holds the pattern 
 where a is p less its local mean: what is smooth, as the light is, looks the same in a mirror. x is
 near 1, or near 0 where the pattern is missing, and :math:`(x_0 - x) / \sigma_x^2`, summed over
 stretches and never below 0, is the logarithm of how much likelier the latter has become (Page's
-test, 1954). Tiles with many more events than at rest have no part: they move.
+test, 1954). Tiles with many more events than at rest are left out: they move.
 """
 
 from __future__ import annotations
@@ -40,9 +40,11 @@ MOVING, STORMY, SPARE = 2.0, 3.0, 3.0
 events beside those."""
 FEW = 20
 """Events of a stretch below which nothing is said of their pattern."""
-MEMORY, SILENT, RARE = 5.0, 0.25, 5.0
-"""Stretches over which a tile is silent; events over those at rest below which it is, and standard
-deviations by which there are to be fewer, too."""
+MEMORY = 5.0
+"""Stretches over which a tile is silent."""
+LEAST_RATE, RARE = 0.25, 5.0
+"""Events over those at rest, without a fault 0.5 and more, and standard deviations by which there
+have to be fewer, too: few events come and go."""
 
 
 @njit(cache=True, nogil=True)
@@ -84,6 +86,16 @@ def pattern_sums(
 
 
 @njit(cache=True, nogil=True)
+def least_number(usual: float) -> float:
+    """Return the number of events below which a sensor is silent.
+
+    Args:
+        usual: Number at rest.
+    """
+    return min(LEAST_RATE * usual, usual - RARE * np.sqrt(usual))  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
 def weigh(
     sums: NDArray[np.float64],
     held: NDArray[np.float64],
@@ -109,8 +121,7 @@ def weigh(
         recent[tile] += (sums[2, tile] - recent[tile]) / MEMORY
         # What a mean with such a memory is the mean of.
         number = (2.0 * MEMORY - 1.0) * usual[tile]
-        least = min(SILENT * number, number - RARE * np.sqrt(number))
-        silent += (2.0 * MEMORY - 1.0) * recent[tile] < least
+        silent += (2.0 * MEMORY - 1.0) * recent[tile] < least_number(number)
         calm += sums[2, tile] < STORMY * usual[tile] + SPARE
         if sums[2, tile] < MOVING * usual[tile] + SPARE:
             both += sums[0, tile]
@@ -163,7 +174,7 @@ class NoisePattern:
 
     Attributes:
         missing: The latest events do not hold it.
-        storm: There are many more events than at rest, and everywhere.
+        storm: All over the sensor there are many more events than at rest.
         silent: Parts of the sensor have hardly any events.
         windows: Windows of a stretch.
     """
@@ -279,5 +290,6 @@ def warm_up() -> None:
     place, seen = np.zeros(1, np.uint16), np.zeros((2, 8, 8), np.int32)
     pattern, sums = np.zeros((2, 8, 8), np.float32), np.zeros((3, TILES))
     pattern_sums(place, place, np.ones(1, np.bool_), 4, pattern, seen, 1, sums)
+    least_number(0.0)
     weigh(sums, sums[0], sums[0], sums[1])
     add_seen(seen, 1, 0.5, pattern)

@@ -594,7 +594,7 @@ class ForceEstimator:
         if self.tare_on_release and self._zero.due:
             with contextlib.suppress(TareError):
                 self._renew_reference()
-                # Of the same sensor: what is usual of it stays.
+                # The sensor is the same, and so are its usual rates and noise.
                 self._validity.clear()
                 self._count.tares += 1
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
 from mixtac_fger.motion_agreement import MotionAgreement, pair_of
-from mixtac_fger.noise_pattern import NoisePattern
+from mixtac_fger.noise_pattern import NoisePattern, least_number
 from mixtac_fger.recent_events import Known, RecentWindows
 
 if TYPE_CHECKING:
@@ -132,9 +132,6 @@ two in a row at most, from blows between two frames."""
 FEW_EVENTS = 10
 """Events between two frames that are no motion, however quiet the sensor is."""
 UNTOLD = UNTOLD_FRAMES * UNTOLD_BLOWS
-LEAST_RATE, RARE = 0.25, 5.0
-"""Rate of a polarity over that at rest, without a fault 0.5 and more; standard deviations by which
-it has to be lower, too: few events come and go."""
 MOST_RATE = 4.0
 """Rate over that at rest in all windows between frames that are still."""
 MOST_DISAGREEMENT, DISAGREEING_FRAMES = 1.5, 3
@@ -178,6 +175,7 @@ class Validity:
     def __init__(self, window_us: int, width: int) -> None:
         self._window_us, self._width = window_us, width
         self._blow = BUSY_PER_MS * window_us // 1000
+        self._windows = RecentWindows(window_us)
         self.forget()
 
     def forget(self) -> None:
@@ -192,7 +190,7 @@ class Validity:
 
     def clear(self) -> None:
         """Forget the stream: a restart of its clock. Noise levels are kept."""
-        self._windows = RecentWindows(self._window_us)
+        self._windows.clear()
         self._held.clear()
         self._before: tuple[int, F32 | None] = (0, None)
         self._anchor: F32 | None = None
@@ -242,8 +240,7 @@ class Validity:
         stretch = self._windows.events(latest)
         brighter = int(np.count_nonzero(stretch.polarity))
         for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
-            usual = count * rest
-            if number < min(LEAST_RATE * usual, usual - RARE * math.sqrt(usual)):
+            if number < least_number(count * rest):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
         room = np.empty(MOST_MARKS, np.uint64)
         found = marks(stretch.t, stretch.x, stretch.y, stretch.polarity, room)
@@ -381,6 +378,7 @@ class Validity:
             self._noise, self._murmur = change, events
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
         self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
+        murmur = max(self._murmur, few)
         numbers = self._windows.numbers[chosen]
         rates = [number / len(numbers) for number in signs]
         still = change < STILL * self._noise
@@ -388,12 +386,12 @@ class Validity:
         # A blow makes many events in a few windows, a storm in all of them.
         most = MOST_RATE * sum(self._rest)
         many = 0.0 < most < min(numbers)
-        untold = still and (many or alone > MOST_UNTOLD * max(self._murmur, few))
+        untold = still and (many or alone > MOST_UNTOLD * murmur)
         blow = not many and max(numbers) > self._blow
         # Whole numbers, so that thirds and fifths add up.
         step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
         self._untold = self._untold + step if untold else 0
-        rest = still and not many and alone < AT_REST * max(self._murmur, few)
+        rest = still and not many and alone < AT_REST * murmur
         one_way = size * size * float(np.abs(told).sum()) >= LEAST_ONE_WAY * sum(numbers)
         # No vibration that frames do not show, unless there always is one.
         rest &= one_way or sum(rates) <= AT_REST * sum(self._rest)

@@ -63,16 +63,24 @@ def stream_of(trial: TrialArrays, begin_us: int, other: TrialArrays, seed: int =
 Fault = Callable[[Stream], None]
 
 
-def of_images(change: Callable[[NDArray[np.float64], Random], NDArray[np.floating]]) -> Fault:
-    """Return the fault that changes every image, given as float64 [DN]."""
+def _of_each_image(
+    change: Callable[[NDArray[np.float64], Random, float], NDArray[np.floating]],
+) -> Fault:
+    """Return the fault that changes every image [DN], by the time since its begin [s], too."""
 
     def fault(stream: Stream) -> None:
         for index, (image, middle) in enumerate(zip(stream.frames, stream.mid_us, strict=True)):
             if image is not None and middle >= stream.begin_us:
-                found = change(image.astype(np.float64), stream.random)
+                since_s = 1e-6 * float(middle - stream.begin_us)
+                found = change(image.astype(np.float64), stream.random, since_s)
                 stream.frames[index] = np.clip(found, 0, FULL_SCALE).astype(np.uint16)
 
     return fault
+
+
+def of_images(change: Callable[[NDArray[np.float64], Random], NDArray[np.floating]]) -> Fault:
+    """Return the fault that changes every image, given as float64 [DN]."""
+    return _of_each_image(lambda image, random, _: change(image, random))
 
 
 def of_events(change: Callable[[Events, Random], Events]) -> Fault:
@@ -157,15 +165,7 @@ def _late_frames(late: int) -> Fault:
 
 def _in_time(change: Callable[[NDArray[np.float64], float], NDArray[np.floating]]) -> Fault:
     """Return the fault that changes every image by the time since its begin [s]."""
-
-    def fault(stream: Stream) -> None:
-        for index, (image, middle) in enumerate(zip(stream.frames, stream.mid_us, strict=True)):
-            if image is not None and middle >= stream.begin_us:
-                since_s = 1e-6 * float(middle - stream.begin_us)
-                found = change(image.astype(np.float64), since_s)
-                stream.frames[index] = np.clip(found, 0, FULL_SCALE).astype(np.uint16)
-
-    return fault
+    return _of_each_image(lambda image, _, since_s: change(image, since_s))
 
 
 def _losing_focus(image: NDArray[np.float64], since_s: float) -> NDArray[np.float64]:
@@ -198,9 +198,8 @@ def _shuffled_rows(events: Events, random: Random) -> Events:
     return replace(events, y=random.permutation(260)[events.y].astype(np.uint16))
 
 
-def _turned_events(events: Events, _: Random) -> Events:
-    x, y = (345 - events.x).astype(np.uint16), (259 - events.y).astype(np.uint16)
-    return replace(events, x=x, y=y)
+def _part_of_events(share: float) -> Fault:
+    return of_events(lambda events, random: events[random.random(len(events)) < share])
 
 
 def _torn(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
@@ -264,6 +263,10 @@ def _moved(columns: int, rows: int = 0) -> Fault:
 
 def _mirrored_events(events: Events, _: Random) -> Events:
     return replace(events, x=(345 - events.x).astype(np.uint16))
+
+
+def _events_upside_down(events: Events, _: Random) -> Events:
+    return replace(events, y=(259 - events.y).astype(np.uint16))
 
 
 def _brighter(events: Events, _: Random) -> Events:
@@ -353,12 +356,10 @@ UNSEEN: dict[str, Fault] = {
     'drop on the lens': of_images(_drop),
     'frames of another sensor': _frames_of_another,
     'frames in a loop': _frames_in_a_loop,
-    'a tenth of the events': of_events(
-        lambda events, random: events[random.random(len(events)) < 0.1]
-    ),
+    'a tenth of the events': _part_of_events(0.1),
     'upside down': both(
         of_images(lambda image, _: image[::-1]),
-        of_events(lambda events, _: replace(events, y=(259 - events.y).astype(np.uint16))),
+        of_events(_events_upside_down),
     ),
     'two bits lost': of_images(lambda image, _: np.mod(image * 4.0, 1024.0)),
     'events late by 10 ms': _late_events(10_000),
@@ -366,14 +367,14 @@ UNSEEN: dict[str, Fault] = {
     'events shifted by 5 px': of_events(
         lambda events, _: replace(events, x=np.minimum(events.x + 5, 345).astype(np.uint16))
     ),
-    'events turned by 180 degrees': of_events(_turned_events),
+    'events turned by 180 degrees': both(
+        of_events(_mirrored_events), of_events(_events_upside_down)
+    ),
     'rows of events shuffled': of_events(_shuffled_rows),
     'polarity at random': of_events(
         lambda events, random: replace(events, polarity=random.random(len(events)) < 0.5)
     ),
-    'half of the events': of_events(
-        lambda events, random: events[random.random(len(events)) < 0.5]
-    ),
+    'half of the events': _part_of_events(0.5),
     'events of every other row': of_events(lambda events, _: events[events.y % 2 == 0]),
     'events twice': of_events(lambda events, _: events[np.repeat(np.arange(len(events)), 2)]),
     'frames late by 1': _late_frames(1),
