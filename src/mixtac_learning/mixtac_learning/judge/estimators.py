@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -173,13 +174,15 @@ def stream(
 def trial_estimator(model: Model) -> TrialEstimator:
     """Return the estimator of a model.
 
-    It is the live one, except for the paper's networks, which run half a second at a time.
+    It is the live one, except for the paper's networks, which run half a second at a time, on a
+    GPU where there is one.
 
     Raises:
         ModelError: The weights do not fit their architecture, or it is unknown.
     """
     if model.architecture == PAPER_ARCHITECTURE:
-        return partial(paper_estimate, paper_network_of(model))
+        device = 'cuda' if torch.cuda.is_available() else 'cpu'
+        return partial(paper_estimate, paper_network_of(model).to(device))
     open_estimator(model)
     return partial(live_estimate, model)
 

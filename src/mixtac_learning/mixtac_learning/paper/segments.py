@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
+from mixtac_learning.paper.networks import PaperNetwork, PaperState, SegmentBatch
 from mixtac_learning.paper.samples import PaperSample
 
 
@@ -160,29 +160,38 @@ def frame_batch(
 
 
 STRETCH_WINDOWS = 250
-"""Windows that are in memory at a time: half a second."""
+"""Windows that are in memory at a time, of all trials together: half a second of one."""
 
 
 @torch.no_grad()
 def run_samples(
     network: PaperNetwork, samples: Sequence[PaperSample]
-) -> Iterator[NDArray[np.float32]]:
-    """Yield the force [N] at the end of each window of each trial, float32 [T].
+) -> list[NDArray[np.float32]]:
+    """Return the force [N] at the end of each window of each trial, float32 [T].
 
     Every trial starts at zero force with an empty memory and runs to its end without any
-    knowledge of the true force. Memory does not grow with its length.
+    knowledge of the true force. Trials run side by side; memory grows with neither their number
+    nor their length.
 
     Args:
         network: In evaluation mode.
         samples: Trials.
     """
     device = next(network.parameters()).device
-    for sample in samples:
-        state = network.initial_state(1)
-        parts = []
-        for start in range(0, len(sample.force), STRETCH_WINDOWS):
-            stop = min(start + STRETCH_WINDOWS, len(sample.force))
-            batch = assemble([sample], [Segment(0, start, stop)], network.config)
-            force, state = network(batch.to(device), state)
-            parts.append(force[:, 0].cpu().numpy())
-        yield np.concatenate(parts)
+    parts: list[list[NDArray[np.float32]]] = [[] for _ in samples]
+    # Trials that have ended leave; the longest come first.
+    left = sorted(range(len(samples)), key=lambda trial: -len(samples[trial].force))
+    state, start = network.initial_state(len(left)), 0
+    while left:
+        shortest = len(samples[left[-1]].force)
+        if start == shortest:
+            left.pop()
+            state = PaperState(*(part[: len(left)] for part in state))
+            continue
+        stop = min(start + max(STRETCH_WINDOWS // len(left), 1), shortest)
+        batch = assemble(samples, [Segment(trial, start, stop) for trial in left], network.config)
+        force, state = network(batch.to(device), state)
+        for trial, own in zip(left, force.cpu().numpy().T, strict=True):
+            parts[trial].append(own)
+        start = stop
+    return [np.concatenate(each) if each else np.zeros(0, np.float32) for each in parts]

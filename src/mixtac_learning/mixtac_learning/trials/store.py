@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -83,6 +84,8 @@ def write_arrays(
 ) -> None:
     """Write a folder of arrays that can be mapped, whole or not at all.
 
+    Processes may write the same folder at the same time: the first one's stays.
+
     Args:
         path: Folder to write.
         arrays: By name; one file each.
@@ -92,18 +95,21 @@ def write_arrays(
     Raises:
         DatasetError: It cannot be written.
     """
-    partial = path.with_name(path.name + '.partial')
+    partial = path.with_name(f'{path.name}.{os.getpid()}.partial')
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
         for name, array in arrays.items():
             np.save(partial / f'{name}.npy', array, allow_pickle=False)
         (partial / facts_file).write_text(json.dumps(facts), encoding='utf-8')
-        partial.replace(path)
+        partial.rename(path)
     except OSError as error:
-        raise DatasetError(
-            f'{path} cannot be written ({error})', remedy='free some disk space'
-        ) from error
+        if not path.is_dir():
+            raise DatasetError(
+                f'{path} cannot be written ({error})', remedy='free some disk space'
+            ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def read_arrays(

@@ -56,6 +56,27 @@ def test_a_kept_trial_is_loaded_once_and_unchanged(arrays, tmp_path):
         cached.load()
 
 
+def test_a_trial_may_be_kept_twice_at_a_time(arrays, tmp_path):
+    first = Source(arrays)
+
+    class Second(Source):
+        """Another process keeps the trial while this one loads it."""
+
+        def load(self) -> TrialArrays:
+            CachedSource(first, tmp_path).load()
+            return super().load()
+
+    kept = CachedSource(Second(arrays), tmp_path).load()
+    assert np.array_equal(kept.frames, arrays.frames)
+    assert len(list(tmp_path.iterdir())) == first.loads == 1
+
+
+def test_a_trial_that_cannot_be_kept_is_named(arrays, tmp_path):
+    (tmp_path / 'file').touch()
+    with pytest.raises(DatasetError):
+        CachedSource(Source(arrays), tmp_path / 'file').load()
+
+
 def test_labels_that_are_not_known_are_asked_for_in_vain(arrays):
     assert arrays.label() is arrays.truth
     measured = ForceLabel(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
