@@ -164,9 +164,7 @@ STRETCH_WINDOWS = 250
 
 
 @torch.no_grad()
-def run_samples(
-    network: PaperNetwork, samples: Sequence[PaperSample]
-) -> list[NDArray[np.float32]]:
+def run_samples(network: PaperNetwork, samples: Sequence[PaperSample]) -> list[NDArray[np.float32]]:
     """Return the force [N] at the end of each window of each trial, float32 [T].
 
     Every trial starts at zero force with an empty memory and runs to its end without any
