@@ -186,7 +186,7 @@ MOST_EVENTS_PER_PIXEL = np.float64(2.0)
 """Events of a pixel of a bin between two frames beyond which more count as so many: hot pixels."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def add_signs(
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
@@ -205,8 +205,9 @@ def add_signs(
     """
     rows, columns = out.shape
     share = np.float32(1.0 / (size * size))
+    pixels = np.uint32(size)  # fast to divide by
     for index in range(x.shape[0]):
-        row, column = y[index] // size, x[index] // size
+        row, column = y[index] // pixels, x[index] // pixels
         if row < rows and column < columns:
             out[row, column] += share if polarity[index] else -share
 
@@ -222,7 +223,7 @@ def marks(
     y: NDArray[np.uint16],
     polarity: NDArray[np.bool_],
     out: NDArray[np.uint64],
-) -> int:
+) -> tuple[int, int]:
     """Find places in a stream of events by which it is known again, wherever it is cut.
 
     A mark is a hash of four events in a row, and of the time from the first to the last; no pixel
@@ -236,9 +237,12 @@ def marks(
         out: Room for marks, uint64 [m].
 
     Returns:
-        Number of marks, m at most.
+        Number of marks, m at most, and how many events are the one before once more.
     """
-    found = 0
+    found = twice = 0
+    for index in range(1, x.shape[0]):
+        alike = x[index] == x[index - 1] and y[index] == y[index - 1]
+        twice += alike and t[index] == t[index - 1] and polarity[index] == polarity[index - 1]
     for index in range(x.shape[0] - 3):
         if found == out.shape[0]:
             break
@@ -257,7 +261,7 @@ def marks(
         if mark >> np.uint64(64 - MARKED_BITS) == 0:
             out[found] = mark
             found += 1
-    return found
+    return found, twice
 
 
 STRONG_CHANGE = 0.25

@@ -8,7 +8,10 @@ All memory is bounded.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import deque
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 
@@ -16,33 +19,57 @@ KEPT_US = 500_000
 """Time, at least, whose events are kept for the next frame [us]."""
 MOST_PER_MS = 2048
 """Events of a window that are kept [1/ms]: in twice a blow nobody looks at more."""
+SPARSE = 8
+"""Slots, at least, per mark that is remembered: one in eight at most is forgotten early."""
+
+
+@njit(cache=True, nogil=True)
+def count_known(
+    marks: NDArray[np.uint64],
+    keys: NDArray[np.uint64],
+    latest: NDArray[np.int64],
+    number: int,
+    most: int,
+) -> int:
+    """Count the marks of a group that one of the groups before it had, and remember them.
+
+    Args:
+        marks: Of this group, uint64 [n].
+        keys: Mark of each slot, uint64 [2^k]; changed in place.
+        latest: Number of the latest group with that mark, int64 [2^k]; changed in place.
+        number: Number of this group.
+        most: Groups that are remembered.
+    """
+    known = 0
+    for mark in marks:
+        slot = mark & np.uint64(keys.shape[0] - 1)
+        known += keys[slot] == mark and number - most <= latest[slot] < number
+        keys[slot], latest[slot] = mark, number
+    return known
 
 
 class Known:
-    """What the latest frames, or stretches of events, were known by.
+    """Marks by which the latest frames, or stretches of events, are known again.
+
+    Each mark has one slot, so that of two with the same slot the earlier one is forgotten.
 
     Args:
-        most: Number of those that are remembered.
+        most: Number of frames or stretches that are remembered.
+        marks: Marks that each of them has at most.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._groups: deque[frozenset[int]] = deque()
-        self._latest: dict[int, int] = {}
-        self._number = 0
+    def __init__(self, most: int, marks: int) -> None:
+        self._most, self._number = most, 0
+        slots = 1 << (SPARSE * most * marks - 1).bit_length()
+        self._keys = np.zeros(slots, np.uint64)
+        self._latest = np.full(slots, -most, np.int64)
 
-    def add(self, group: frozenset[int]) -> int:
-        """Add what the next one is known by; return how much of it was known before."""
-        known = len(group & self._latest.keys())
+    def add(self, marks: NDArray[np.uint64]) -> int:
+        """Add the marks of the next one, uint64 [n]; return how many were known before."""
         self._number += 1
-        self._latest.update(dict.fromkeys(group, self._number))
-        self._groups.append(group)
-        if len(self._groups) > self._most:
-            for each in self._groups.popleft():
-                # What came again since is still known.
-                if self._latest[each] <= self._number - self._most:
-                    del self._latest[each]
-        return known
+        return count_known(  # type: ignore[no-any-return]
+            marks, self._keys, self._latest, self._number, self._most
+        )
 
 
 class RecentWindows:
@@ -108,3 +135,8 @@ class RecentWindows:
             getattr(self._events, name)[: len(kept)] = getattr(kept, name)
         self._starts = [start - self._starts[count] for start in self._starts[count:]]
         del self.ends_us[:count], self.numbers[:count]
+
+
+def warm_up() -> None:
+    """Compile what a stretch needs, so that the first one is not late."""
+    Known(1, 1).add(np.zeros(1, np.uint64))

@@ -32,7 +32,7 @@ import numpy as np
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger import comparisons, noise_pattern
+from mixtac_fger import comparisons, noise_pattern, recent_events
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
 from mixtac_fger.features import EXPOSED_WINDOWS, correction_lag
@@ -624,6 +624,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     """
     comparisons.warm_up()
     noise_pattern.warm_up()
+    recent_events.warm_up()
     feed = ForceEstimator(estimator, contact=ContactSettings())
     reference = estimator.reference
     for kind in (np.uint8, np.uint16):

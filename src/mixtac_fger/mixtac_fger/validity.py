@@ -154,6 +154,8 @@ STRETCHES_KNOWN = 256
 """Stretches of events that are known again, by their marks."""
 LEAST_MARKS, MOST_KNOWN = 4, 0.5
 """Share of marks that are known again, from so many marks on; without a fault none is."""
+LEAST_TWICE, MOST_TWICE = 8, 0.25
+"""Share of events that are the one before once more, from so many on; without a fault none is."""
 
 
 def disagreement_scale(force: float) -> float:
@@ -176,6 +178,7 @@ class Validity:
         self._window_us, self._width = window_us, width
         self._blow = BUSY_PER_MS * window_us // 1000
         self._windows = RecentWindows(window_us)
+        self._room = np.empty(MOST_MARKS, np.uint64)
         self.forget()
 
     def forget(self) -> None:
@@ -199,7 +202,7 @@ class Validity:
         self._busy = self._vibrating = self._foreign = self._unlike = False
         self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
-        self._frames, self._marks = Known(FRAMES_KNOWN), Known(STRETCHES_KNOWN)
+        self._frames, self._marks = Known(FRAMES_KNOWN, 1), Known(STRETCHES_KNOWN, MOST_MARKS)
         if self._pattern.missing:
             self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 
@@ -242,10 +245,10 @@ class Validity:
         for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
             if number < least_number(count * rest):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        room = np.empty(MOST_MARKS, np.uint64)
-        found = marks(stretch.t, stretch.x, stretch.y, stretch.polarity, room)
-        new = frozenset(room[:found].tolist())
-        repeated = self._marks.add(new) > MOST_KNOWN * max(found, LEAST_MARKS)
+        found, twice = marks(stretch.t, stretch.x, stretch.y, stretch.polarity, self._room)
+        known = self._marks.add(self._room[:found])
+        repeated = known > MOST_KNOWN * max(found, LEAST_MARKS)
+        repeated |= twice > max(MOST_TWICE * len(stretch), LEAST_TWICE)
         # A blow is not noise, wherever it is.
         if max(self._windows.numbers[latest]) <= self._blow:
             self._pattern.judge(stretch)
@@ -326,7 +329,8 @@ class Validity:
         """Return what the frame says about the events since the frames before it."""
         before_us, before = self._before
         self._before = mid_us, contrast
-        if self._frames.add(frozenset([hash(contrast[::ROWS_APART].tobytes())])):
+        mark = hash(contrast[::ROWS_APART].tobytes())
+        if self._frames.add(np.array([mark], np.int64).view(np.uint64)):
             return {Reason.FRAME_FROZEN}
         if before is None or self._anchor is None:
             self._anchor, self._signs, self._age = contrast, np.zeros_like(contrast), 0

@@ -51,7 +51,7 @@ def test_the_latest_windows_are_as_they_came(numbers, count, large):
 
 @given(st.lists(st.frozensets(st.integers(0, 20), max_size=5), max_size=60), st.integers(1, 8))
 def test_what_was_among_the_latest_is_known(groups, most):
-    known = Known(most)
+    known = Known(most, 5)
     for index, group in enumerate(groups):
         before = frozenset().union(*groups[max(index - most, 0) : index])
-        assert known.add(group) == len(group & before)
+        assert known.add(np.array([*group], np.uint64)) == len(group & before)

@@ -281,7 +281,8 @@ def test_frames_in_a_loop_are_known_again(trial, encoded, frames):
 
 def marks_of(events: Events, most: int = 10_000) -> list[int]:
     room = np.empty(most, np.uint64)
-    return room[: marks(events.t, events.x, events.y, events.polarity, room)].tolist()
+    found, _ = marks(events.t, events.x, events.y, events.polarity, room)
+    return room[:found].tolist()
 
 
 @given(first=st.integers(0, 2000), shift=st.integers(-500_000, 10**12))
@@ -313,6 +314,15 @@ def test_there_are_no_more_marks_than_room_for_them():
     events = noise(0, 200_000, 4000)
     assert marks_of(events, 5) == marks_of(events)[:5]
     assert marks_of(events[:3]) == []
+
+
+@pytest.mark.parametrize('number', [1, 2])
+def test_events_that_come_twice_are_found(number):
+    validity = Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 100_000, WINDOW_US):
+        events = noise(end - WINDOW_US, end)
+        validity.window(end, events[np.repeat(np.arange(len(events)), number)], complete=True)
+    assert validity.reason is (Reason.EVENTS_DISAGREE if number > 1 else Reason.TRUSTED)
 
 
 def test_events_in_a_loop_are_found(trial, encoded, frames):
