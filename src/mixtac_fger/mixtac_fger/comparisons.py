@@ -223,7 +223,7 @@ def marks(
     y: NDArray[np.uint16],
     polarity: NDArray[np.bool_],
     out: NDArray[np.uint64],
-) -> tuple[int, int]:
+) -> tuple[int, int, int]:
     """Find places in a stream of events by which it is known again, wherever it is cut.
 
     A mark is a hash of four events in a row, and of the time from the first to the last; no pixel
@@ -237,12 +237,16 @@ def marks(
         out: Room for marks, uint64 [m].
 
     Returns:
-        Number of marks, m at most, and how many events are the one before once more.
+        Number of marks, m at most; how many events are the one before once more; and how many
+        different times the events have.
     """
     found = twice = 0
+    times = min(x.shape[0], 1)
     for index in range(1, x.shape[0]):
         alike = x[index] == x[index - 1] and y[index] == y[index - 1]
-        twice += alike and t[index] == t[index - 1] and polarity[index] == polarity[index - 1]
+        later = t[index] != t[index - 1]
+        times += later
+        twice += alike and not later and polarity[index] == polarity[index - 1]
     for index in range(x.shape[0] - 3):
         if found == out.shape[0]:
             break
@@ -261,7 +265,7 @@ def marks(
         if mark >> np.uint64(64 - MARKED_BITS) == 0:
             out[found] = mark
             found += 1
-    return found, twice
+    return found, twice, times
 
 
 STRONG_CHANGE = 0.25

@@ -11,7 +11,8 @@ Six groups of checks, none of which knows a particular fault:
 * The estimate: the frame's force is the force that was estimated at the centre of its exposure.
 * Rates: neither ON nor OFF events ever stop where the sensor at rest has noise of both kinds.
 * Noise: its pattern is that of the sensor's pixels (`noise_pattern`).
-* Repetition: noise never makes the same frame twice, nor the same events at the same intervals.
+* Repetition: noise never makes the same frame twice, nor the same events at the same intervals,
+  nor many events at one time.
 
 Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
 `paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), most by a factor of two or
@@ -76,9 +77,9 @@ TEXTS = {
     Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
     ' for hot pixels, flicker and biases; if so many are right, release the sensor and call ~/tare',
     Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
-    ' again and again, or their noise is not that of the pixels: check that both are of the same'
-    ' camera and neither is mirrored or late; after a change of biases release the sensor and call'
-    ' ~/tare',
+    ' again and again, or many have the same time, or their noise is not that of the pixels: check'
+    ' that both are of the same camera, have its times, and are neither mirrored nor late; after a'
+    ' change of biases release the sensor and call ~/tare',
     Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
     ' release the sensor and call ~/tare',
     Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
@@ -156,6 +157,9 @@ LEAST_MARKS, MOST_KNOWN = 4, 0.5
 """Share of marks that are known again, from so many marks on; without a fault none is."""
 LEAST_TWICE, MOST_TWICE = 8, 0.25
 """Share of events that are the one before once more, from so many on; without a fault none is."""
+EVENTS_TIMED, LEAST_TIMES = 80, 8
+"""Events from which on they have to have so many different times in a stretch: the camera gives
+each its own, or one to those of a row."""
 
 
 def disagreement_scale(force: float) -> float:
@@ -245,10 +249,12 @@ class Validity:
         for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
             if number < least_number(count * rest):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        found, twice = marks(stretch.t, stretch.x, stretch.y, stretch.polarity, self._room)
+        fields = stretch.t, stretch.x, stretch.y, stretch.polarity
+        found, twice, times = marks(*fields, self._room)
         known = self._marks.add(self._room[:found])
-        repeated = known > MOST_KNOWN * max(found, LEAST_MARKS)
-        repeated |= twice > max(MOST_TWICE * len(stretch), LEAST_TWICE)
+        wrong = known > MOST_KNOWN * max(found, LEAST_MARKS)
+        wrong |= twice > max(MOST_TWICE * len(stretch), LEAST_TWICE)
+        wrong |= len(stretch) >= EVENTS_TIMED and times < LEAST_TIMES
         # A blow is not noise, wherever it is.
         if max(self._windows.numbers[latest]) <= self._blow:
             self._pattern.judge(stretch)
@@ -256,7 +262,7 @@ class Validity:
             self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
         if self._pattern.storm:
             self._held[Reason.EVENTS_WITHOUT_MOTION] = HOLD_FRAMES
-        self._foreign = repeated or self._pattern.missing
+        self._foreign = wrong or self._pattern.missing
         if self._foreign:
             self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 

@@ -281,7 +281,7 @@ def test_frames_in_a_loop_are_known_again(trial, encoded, frames):
 
 def marks_of(events: Events, most: int = 10_000) -> list[int]:
     room = np.empty(most, np.uint64)
-    found, _ = marks(events.t, events.x, events.y, events.polarity, room)
+    found, *_ = marks(events.t, events.x, events.y, events.polarity, room)
     return room[:found].tolist()
 
 
@@ -323,6 +323,15 @@ def test_events_that_come_twice_are_found(number):
         events = noise(end - WINDOW_US, end)
         validity.window(end, events[np.repeat(np.arange(len(events)), number)], complete=True)
     assert validity.reason is (Reason.EVENTS_DISAGREE if number > 1 else Reason.TRUSTED)
+
+
+@pytest.mark.parametrize('step_us', [1, 1000, 5000, 20_000])
+def test_events_with_the_times_of_packets_are_found(step_us):
+    validity = Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 100_000, WINDOW_US):
+        events = noise(end - WINDOW_US, end)
+        validity.window(end, replace(events, t=events.t // step_us * step_us), complete=True)
+    assert validity.reason is (Reason.EVENTS_DISAGREE if step_us > 1000 else Reason.TRUSTED)
 
 
 def test_events_in_a_loop_are_found(trial, encoded, frames):

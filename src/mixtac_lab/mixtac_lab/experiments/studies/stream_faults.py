@@ -163,6 +163,43 @@ def _late_frames(late: int) -> Fault:
     return fault
 
 
+def _slow_event_clock(stream: Stream) -> None:
+    """Let later and later times of the camera be given to the events."""
+    begin = stream.begin_us
+
+    def slow(events: Events, _: Random) -> Events:
+        return replace(events, t=begin + (1.002 * (events.t - begin)).astype(np.int64))
+
+    of_events(slow)(stream)
+
+
+def _few_frames(stream: Stream) -> None:
+    for index, middle in enumerate(stream.mid_us):
+        if middle >= stream.begin_us and index % 3:
+            stream.frames[index] = None
+
+
+def _mixed_rows(stream: Stream) -> None:
+    shown = list(stream.frames)
+    for index, middle in enumerate(stream.mid_us):
+        image, before = shown[index], shown[max(index - 1, 0)]
+        if middle >= stream.begin_us and image is not None and before is not None:
+            mixed = image.copy()
+            mixed[1::2] = before[1::2]
+            stream.frames[index] = mixed
+
+
+def _every_second(events: Events, _: Random) -> Events:
+    """Leave out every second event of each pixel, as with a threshold twice as high."""
+    pixel = events.y.astype(np.int64) * 346 + events.x
+    order = np.argsort(pixel, kind='stable')
+    starts = np.flatnonzero(np.diff(pixel[order], prepend=-1))
+    place = np.arange(len(events)) - np.repeat(starts, np.diff(starts, append=len(events)))
+    kept = np.zeros(len(events), np.bool_)
+    kept[order] = place % 2 == 0
+    return events[kept]
+
+
 def _in_time(change: Callable[[NDArray[np.float64], float], NDArray[np.floating]]) -> Fault:
     """Return the fault that changes every image by the time since its begin [s]."""
     return _of_each_image(lambda image, _, since_s: change(image, since_s))
@@ -345,6 +382,11 @@ SEEN: dict[str, Fault] = {
     'exposure 5 times': of_images(lambda image, _: image * 5.0),
     'focus lost within 3 s': _in_time(_losing_focus),
     'frames late by 3': _late_frames(3),
+    'events of every other row': of_events(lambda events, _: events[events.y % 2 == 0]),
+    'events twice': of_events(lambda events, _: events[np.repeat(np.arange(len(events)), 2)]),
+    'event times in steps of 10 ms': of_events(
+        lambda events, _: replace(events, t=events.t // 10_000 * 10_000)
+    ),
 }
 """Faults that were known when the checks were made."""
 UNSEEN: dict[str, Fault] = {
@@ -375,8 +417,6 @@ UNSEEN: dict[str, Fault] = {
         lambda events, random: replace(events, polarity=random.random(len(events)) < 0.5)
     ),
     'half of the events': _part_of_events(0.5),
-    'events of every other row': of_events(lambda events, _: events[events.y % 2 == 0]),
-    'events twice': of_events(lambda events, _: events[np.repeat(np.arange(len(events)), 2)]),
     'frames late by 1': _late_frames(1),
     'frames upside down': of_images(lambda image, _: image[::-1]),
     'noise of frames 5 times': of_images(
@@ -389,5 +429,22 @@ UNSEEN: dict[str, Fault] = {
     'stripe of 20 rows dead': of_images(_striped_dead),
     'beads fade': of_images(lambda image, _: image.mean() + 0.4 * (image - image.mean())),
     'smear on the lens': of_images(_smeared),
+    'every fourth column of events silent': of_events(lambda events, _: events[events.x % 4 > 0]),
+    'one bit of the columns of events 0': of_events(
+        lambda events, _: replace(events, x=events.x & np.uint16(0xFFEF))
+    ),
+    'half of the ON events': of_events(
+        lambda events, random: events[~events.polarity | (random.random(len(events)) < 0.5)]
+    ),
+    'every second event of a pixel': of_events(_every_second),
+    'event times wrong by 0 to 5 ms': of_events(
+        lambda events, random: replace(events, t=events.t + random.integers(0, 5000, len(events)))
+    ),
+    'event clock 0.2 % slow': _slow_event_clock,
+    'two of three frames lost': _few_frames,
+    'every second row one frame late': _mixed_rows,
+    'gains of columns': of_images(
+        lambda image, _: image * np.random.default_rng(5).normal(1.0, 0.03, image.shape[1])
+    ),
 }
-"""Faults that were written after the thresholds were set."""
+"""Faults that were written after the thresholds were set; no check was made with them."""
