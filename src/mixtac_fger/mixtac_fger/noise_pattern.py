@@ -16,7 +16,8 @@ Whether a bin had an event in a stretch of 20 ms, s = 1 or 0, holds the pattern 
 where a is p less its local mean: what is smooth, as the light is, looks the same in a mirror. x is
 near 1, or near 0 where the pattern is missing, and :math:`(x_0 - x) / \sigma_x^2`, summed over
 stretches and never below 0, is the logarithm of how much likelier the latter has become (Page's
-test, 1954). Tiles with many more events than at rest are left out: they move.
+test, 1954); its variance is at least the usual one. Tiles with many more events than at rest are
+left out: they move.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ F32 = NDArray[np.float32]
 RADIUS = 4
 """Bins to each side over which a local mean is taken."""
 TILES = TILE_ROWS * TILE_COLUMNS
-MOVING, STORMY, SPARE = 2.0, 3.0, 3.0
-"""Events of a tile over those at rest beyond which it moves, and beyond which it is not calm, and
-events beside those."""
+MOVING, STORMY, SPARE = 4.0, 3.0, 3.0
+"""A tile moves where it has more events than at rest by so many standard deviations, or twice as
+many; it is not calm where it has so many times as many; and events beside those."""
 FEW = 20
 """Events of a stretch below which nothing is said of their pattern."""
 MEMORY = 5.0
@@ -125,7 +126,7 @@ def weigh(
     Args:
         sums: Of `pattern_sums`.
         counts: Of `pattern_sums`.
-        held: What right events hold in a stretch at rest, float64 [TILES].
+        held: Usual `sums`, of right events at rest.
         usual: Usual `counts`.
 
     Returns:
@@ -134,18 +135,21 @@ def weigh(
         tiles are calm.
     """
     calm = 0
-    both = found = expected = count = before = np.float64(0.0)
+    both = found = expected = usually = count = before = np.float64(0.0)
     for tile in range(TILES):
         calm += counts[tile] < STORMY * usual[tile] + SPARE
-        if counts[tile] < MOVING * usual[tile] + SPARE:
+        more = min(usual[tile], MOVING * np.sqrt(usual[tile]))
+        if counts[tile] < usual[tile] + more + SPARE:
             both += sums[0, tile]
             found += sums[1, tile]
-            expected += held[tile]
+            expected += held[0, tile]
+            usually += held[1, tile]
             count += counts[tile]
             before += usual[tile]
     # A handful of events has a pattern of its own.
     share = min(count / before, np.float64(1.0)) if min(count, before) >= FEW else np.float64(0.0)
-    return both, found, expected * share, calm
+    # Where bins of much weight happen to be empty, x is low, and no more certain for that.
+    return both, max(found, usually * share), expected * share, calm
 
 
 @njit(cache=True, nogil=True)
@@ -173,15 +177,21 @@ def count_silent(
 
 
 @njit(cache=True, nogil=True)
-def moving_tiles(count: NDArray[np.float64], usual: NDArray[np.float64]) -> int:
-    """Return how many tiles move in a stretch, beyond noise that has grown everywhere.
+def unevenness(count: NDArray[np.float64], usual: NDArray[np.float64]) -> float:
+    """Return how unevenly a stretch differs from rest: 1 where noise has grown or fallen as a whole.
 
     Args:
         count: Events of each tile, float64 [TILES].
         usual: Their number at rest, same shape.
+
+    Returns:
+        Square of the difference to what is expected over its variance, the mean of the tiles.
     """
-    grown = max(np.median(count / np.maximum(usual, 1.0)), 1.0)
-    return np.count_nonzero(count > grown * MOVING * usual + SPARE)  # type: ignore[return-value]
+    grown, total = np.median(count / np.maximum(usual, 1.0)), np.float64(0.0)
+    for tile in range(usual.shape[0]):
+        expected = max(grown * usual[tile], np.float64(1.0))
+        total += (count[tile] - expected) ** 2 / expected
+    return total / usual.shape[0]  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True)
@@ -249,8 +259,9 @@ class NoisePattern:
     SILENT_TILES, SILENT_LINES = 6, 44
     """Tiles, and rows and columns, from which on a part of the sensor is silent; in 129 trials
     without a fault 2 and 22 at most, both in vibrations."""
-    STIRRED: Final = 2
-    """Tiles that may move at rest."""
+    STIRRED, FIRST = 2.0, 5
+    """Unevenness from which on something moves, and stretches from which on it is known: at rest
+    1.0, of ten stretches one has 1.4 and one of hundreds 2; slow motion has 2 to 5."""
 
     def __init__(self, width: int, window_us: int) -> None:
         self.windows = max(self.STRETCH_US // window_us, 1)
@@ -261,7 +272,7 @@ class NoisePattern:
         """Forget the sensor."""
         self._pattern: F32 | None = None
         self._local: F32 | None = None
-        self._sums, self._held = np.zeros((2, TILES)), np.zeros(TILES)
+        self._sums, self._held = np.zeros((2, 2, TILES))
         self._number = self._rests = self._learnt = self._judged = 0
         self._recent: NDArray[np.float64] | None = None
         self._storms = 0
@@ -311,9 +322,8 @@ class NoisePattern:
         if known or self.missing or self._doubt > self.LIMIT / 4.0:
             return
         self._add_up(stretch, self._pattern if self._local is None else self._local)
-        if self._local is not None and (
-            moving_tiles(self._counts[:TILES], self._usual[:TILES]) > self.STIRRED
-        ):
+        uneven = unevenness(self._counts[:TILES], self._usual[:TILES])
+        if self._learnt >= self.FIRST and uneven > self.STIRRED:
             return
         self._learnt += 1
         share = max(1.0 / self._learnt, 1.0 / self.KEPT)
@@ -322,7 +332,7 @@ class NoisePattern:
         if self._local is not None:
             self._judged += 1
             share = max(1.0 / self._judged, 1.0 / self.KEPT)
-            self._held += share * (self._sums[0] - self._held)
+            self._held += share * (self._sums - self._held)
         if self._learnt % self.LEARNT == 0:
             self._local = less_local_mean(self._pattern)
 
@@ -343,8 +353,8 @@ def warm_up() -> None:
     )
     on = np.ones(1, np.bool_)
     pattern_sums(place, place, on, 4, tiles_of(8, 8), pattern, seen, 1, sums, counts)
-    moving_tiles(counts[:TILES], counts[:TILES])
+    unevenness(counts[:TILES], counts[:TILES])
     least_number(0.0)
-    weigh(sums, counts, sums[0], counts)
+    weigh(sums, counts, sums, counts)
     count_silent(counts, counts, counts)
     add_seen(seen, 1, 0.5, pattern)

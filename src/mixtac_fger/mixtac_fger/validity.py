@@ -103,10 +103,11 @@ MOST_CLIPPED = 0.01
 """Share of the picture that may be white beyond what was at the start; without a fault none is."""
 MOST_SHIFT = 0.08
 """Without a fault up to 0.051 bins; a bin has four pixels."""
-SHADING_MOVED, SHIFT_MOVED = 0.06, 0.01
-"""What both may be more per bin that a tile has moved: large displacements are found too small, and
-a strong pull brings a shading of 0.19 where it moves a tile by 1.15 bins, a blow a shift of 0.082
-where it moves one by 1.7."""
+FADING_MOVED, ROUGHNESS_MOVED, SHADING_MOVED, SHIFT_MOVED = 0.2, 0.3, 0.06, 0.01
+"""What all four may be more per bin that a tile has moved, or less: large displacements are found
+too small, and beads come and go. A strong pull that moves a tile by 1.2 bins has a fading of 0.26,
+one by 1.1 bins a roughness of 1.85 and one by 1.15 bins a shading of 0.19; a blow that moves one by
+1.7 has a shift of 0.082 (5.2 hours)."""
 STRONG_BINS = 10
 """Bins with a strong change from which on events have to tell of it; of twice as many it counts
 twice."""
@@ -471,6 +472,7 @@ def picture_findings(picture: PictureFigures) -> set[Reason]:
         found.add(Reason.CAMERA_MOVED)
     unlike = picture.likeness < LEAST_LIKENESS
     unlike |= not LEAST_SHARPNESS <= picture.sharpness <= MOST_SHARPNESS
-    if unlike or picture.fading < LEAST_FADING or picture.roughness > MOST_ROUGHNESS:
+    unlike |= picture.fading < LEAST_FADING - FADING_MOVED * moved
+    if unlike or picture.roughness > MOST_ROUGHNESS + ROUGHNESS_MOVED * moved:
         found.add(Reason.PICTURE_UNLIKE_REFERENCE)
     return found
