@@ -178,7 +178,7 @@ def count_silent(
 
 @njit(cache=True, nogil=True)
 def unevenness(count: NDArray[np.float64], usual: NDArray[np.float64]) -> float:
-    """Return how unevenly a stretch differs from rest: 1 where noise has grown or fallen as a whole.
+    """Return how unevenly a stretch differs from rest: 1 where all noise has grown or fallen.
 
     Args:
         count: Events of each tile, float64 [TILES].
