@@ -184,7 +184,7 @@ class TrainingLoop:
         weight_decay: Weight decay of AdamW.
         schedule: Schedule of the learning rate; see `schedule_factor`.
         patience: A stage ends after so many epochs without a better validation error and goes
-            back to its best weights; 0 for never.
+            back to its best weights, be it those that it began with; 0 for never.
         checkpoint: File of the checkpoint; None for none.
         fingerprint: Identifies the run; a checkpoint of another run is refused.
         report: Called after each epoch.
@@ -236,6 +236,10 @@ class TrainingLoop:
         if found is not None:
             found.restore_optimiser(optimiser)
             best = found.part('best.')
+        elif self.patience:
+            # No stage ends with worse weights than it began with.
+            progress.best = self._validate(stage)
+            best = self._weights() if progress.best is not None else {}
         while progress.epoch < stage.epochs:
             if self.patience and progress.since_best >= self.patience:
                 break
@@ -247,7 +251,7 @@ class TrainingLoop:
                 progress.since_best += 1
                 if progress.best is None or error < progress.best:
                     progress.best, progress.since_best = error, 0
-                    best = {k: v.detach().clone() for k, v in self.module.state_dict().items()}
+                    best = self._weights()
             row = {'stage': stage.name, 'epoch': progress.epoch, 'loss': loss, 'validation': error}
             progress.curves.append(row | {'seconds': round(time.monotonic() - started, 2)})
             self.report(stage.name, progress.epoch, stage.epochs, loss, error)
@@ -256,6 +260,9 @@ class TrainingLoop:
             self.processes.wait()
         if best and self.patience:
             self.module.load_state_dict(best)
+
+    def _weights(self) -> dict[str, Tensor]:
+        return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
     def _save(
         self,

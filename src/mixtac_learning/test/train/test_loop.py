@@ -86,8 +86,8 @@ class ScriptedStage(Stage):
 
     name, rate = 'scripted', 0.1
 
-    def __init__(self, errors: list[float | None]) -> None:
-        self.errors, self.epochs = list(errors), len(errors)
+    def __init__(self, errors: list[float | None], epochs: int) -> None:
+        self.errors, self.epochs = list(errors), epochs
         self.weight = torch.nn.Parameter(torch.zeros(1))
         self.seen: list[float] = []
 
@@ -106,7 +106,8 @@ class ScriptedStage(Stage):
 
 
 def scripted(errors, patience=0, path=None) -> tuple[ScriptedStage, TrainingLoop]:
-    stage = ScriptedStage(errors)
+    # With patience, the first error is that of the weights that the stage begins with.
+    stage = ScriptedStage(errors, len(errors) - (patience > 0))
     module = torch.nn.Module()
     module.weight = stage.weight
     loop = TrainingLoop(module, patience=patience, schedule='constant', checkpoint=path)
@@ -115,9 +116,15 @@ def scripted(errors, patience=0, path=None) -> tuple[ScriptedStage, TrainingLoop
 
 
 def test_early_stop_goes_back_to_the_best_weights():
-    stage, loop = scripted([5.0, 3.0, 4.0, 3.5, 1.0], patience=2)
+    stage, loop = scripted([6.0, 5.0, 3.0, 4.0, 3.5, 1.0], patience=2)
     assert [row['epoch'] for row in loop.progress.curves] == [1, 2, 3, 4]
-    assert stage.weight.item() == stage.seen[1]
+    assert stage.weight.item() == stage.seen[2]
+
+
+def test_no_stage_ends_worse_than_it_began():
+    stage, loop = scripted([2.0, 5.0, 3.0, 4.0], patience=5)
+    assert len(loop.progress.curves) == 3
+    assert stage.weight.item() == stage.seen[0] == 0.0
 
 
 def test_without_patience_all_epochs_are_run():
