@@ -145,7 +145,7 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
 
 
 def test_a_loss_that_is_no_number_ends_the_run():
-    stage = ScriptedStage([None])
+    stage = ScriptedStage([None], 1)
     stage.losses = lambda random: iter([stage.weight.sum() * float('nan')])
     with pytest.raises(TrainingError):
         TrainingLoop(torch.nn.Module()).run([stage])
