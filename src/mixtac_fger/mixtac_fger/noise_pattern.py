@@ -105,13 +105,14 @@ def tiles_of(rows: int, columns: int) -> NDArray[np.uint8]:
 
 
 @njit(cache=True, nogil=True)
-def least_number(usual: float) -> float:
-    """Return the number of events below which a sensor is silent.
+def least_number(usual: float, rare: float = RARE) -> float:
+    """Return the number of events below which a sensor, or a part of it, is silent.
 
     Args:
         usual: Number at rest.
+        rare: Standard deviations by which it is less.
     """
-    return min(LEAST_RATE * usual, usual - RARE * np.sqrt(usual))  # type: ignore[no-any-return]
+    return min(LEAST_RATE * usual, usual - rare * np.sqrt(usual))  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True)
@@ -172,7 +173,7 @@ def count_silent(
         if part < TILES:
             tiles += number < least_number(before)
         else:
-            lines += number < min(LEAST_RATE * before, before - RARE_LINE * np.sqrt(before))
+            lines += number < least_number(before, RARE_LINE)
     return tiles, lines
 
 
