@@ -188,7 +188,7 @@ def unevenness(count: NDArray[np.float64], usual: NDArray[np.float64]) -> float:
     Returns:
         Square of the difference to what is expected over its variance, the mean of the tiles.
     """
-    grown, total = np.median(count / np.maximum(usual, 1.0)), np.float64(0.0)
+    grown, total = count.sum() / max(usual.sum(), np.float64(1.0)), np.float64(0.0)
     for tile in range(usual.shape[0]):
         expected = max(grown * usual[tile], np.float64(1.0))
         total += (count[tile] - expected) ** 2 / expected
@@ -261,8 +261,9 @@ class NoisePattern:
     """Tiles, and rows and columns, from which on a part of the sensor is silent; in 129 trials
     without a fault 2 and 22 at most, both in vibrations."""
     STIRRED, FIRST = 2.0, 5
-    """Unevenness from which on something moves, and stretches from which on it is known: at rest
-    1.0, of ten stretches one has 1.4 and one of hundreds 2; slow motion has 2 to 5."""
+    """Unevenness over that at rest, and over 1, from which on something moves, and stretches from
+    which on it is known: at rest of ten stretches one has 1.4 and one of hundreds 2, in slow motion
+    2 to 5. Real noise may be less even than 1."""
 
     def __init__(self, width: int, window_us: int) -> None:
         self.windows = max(self.STRETCH_US // window_us, 1)
@@ -277,7 +278,7 @@ class NoisePattern:
         self._number = self._rests = self._learnt = self._judged = 0
         self._recent: NDArray[np.float64] | None = None
         self._storms = 0
-        self._doubt = 0.0
+        self._doubt = self._uneven = 0.0
         self.missing = self.storm = self.silent = False
 
     def confirm(self) -> None:
@@ -323,11 +324,12 @@ class NoisePattern:
         if known or self.missing or self._doubt > self.LIMIT / 4.0:
             return
         self._add_up(stretch, self._pattern if self._local is None else self._local)
-        uneven = unevenness(self._counts[:TILES], self._usual[:TILES])
-        if self._learnt >= self.FIRST and uneven > self.STIRRED:
+        uneven = unevenness(self._counts[:TILES], self._usual[:TILES]) if self._learnt else 1.0
+        if self._learnt >= self.FIRST and uneven > self.STIRRED * max(self._uneven, 1.0):
             return
         self._learnt += 1
         share = max(1.0 / self._learnt, 1.0 / self.KEPT)
+        self._uneven += share * (uneven - self._uneven)
         self._usual += share * (self._counts - self._usual)
         add_seen(self._seen, self._number, share, self._pattern)
         if self._local is not None:
