@@ -15,8 +15,9 @@ Six groups of checks, none of which knows a particular fault:
   nor many events at one time.
 
 Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
-`paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), most by a factor of two or
-more; none was chosen by a fault. `mixtac experiments faults` counts false alarms on other trials.
+`paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), those of pictures of all that
+631 show, most by a factor of two or more; none was chosen by a fault. `mixtac experiments faults`
+counts false alarms on other trials.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class PaperTraining:
             force within stretches of `_STRETCH` windows that begin at the true force.
         recurrent_epochs: Epochs of the recurrent path on the same features of frames.
         joint_epochs: Epochs of the whole network; on single frames where there is no recurrence.
-            Its rate is small: features vary by some thousandths, and any step moves them by more.
+            None by default: features vary by some thousandths, and any step moves them by more.
         frame_batch: Frames per update.
         cycles: Frame intervals per update of the recurrent path: gradients do not reach further,
             the state does.
@@ -88,7 +88,7 @@ class PaperTraining:
     frame_epochs: int = 40
     event_epochs: int = 16
     recurrent_epochs: int = 12
-    joint_epochs: int = 4
+    joint_epochs: int = 0
     frame_batch: int = 64
     cycles: int = 5
     group_trials: int = 64
