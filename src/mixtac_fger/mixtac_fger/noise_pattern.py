@@ -39,8 +39,8 @@ TILES = TILE_ROWS * TILE_COLUMNS
 MOVING, STORMY, SPARE = 4.0, 3.0, 3.0
 """A tile moves where it has more events than at rest by so many standard deviations, or twice as
 many; it is not calm where it has so many times as many; and events beside those."""
-FEW = 20
-"""Events of a stretch below which nothing is said of their pattern."""
+FEW, LEAST_STILL = 20, 0.3
+"""Events of a stretch, and part of the pattern that does not move, below which nothing is said."""
 MEMORY = 5.0
 """Stretches over which a tile is silent."""
 LEAST_RATE, RARE = 0.25, 5.0
@@ -147,8 +147,11 @@ def weigh(
             usually += held[1, tile]
             count += counts[tile]
             before += usual[tile]
-    # A handful of events has a pattern of its own.
-    share = min(count / before, np.float64(1.0)) if min(count, before) >= FEW else np.float64(0.0)
+    share = np.float64(0.0)
+    # A handful of events has a pattern of its own; and where most of the skin moves, so do pixels
+    # that show it by too few events.
+    if min(count, before) >= FEW and expected >= LEAST_STILL * held[0].sum():
+        share = min(count / before, np.float64(1.0))
     # Where bins of much weight happen to be empty, x is low, and no more certain for that.
     return both, max(found, usually * share), expected * share, calm
 
