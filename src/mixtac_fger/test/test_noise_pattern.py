@@ -64,9 +64,8 @@ def learn(pattern: NoisePattern, sensor: Sensor, stretches: int = LEARNT) -> Non
         pattern.learn(sensor.stretch(), SHAPE)
 
 
-def moving(events: Events, random: np.random.Generator, share: float) -> Events:
+def moving(events: Events, random: np.random.Generator, share: float, count: int = 4000) -> Events:
     """Add many events to a part of the picture, of the same polarity in each column of bins."""
-    count = 4000
     x = random.integers(0, int(share * WIDTH), count).astype(np.uint16)
     y = random.integers(0, HEIGHT, count).astype(np.uint16)
     added = Events(np.zeros(count, np.int64), x, y, x // SIZE % 2 == 0)
@@ -119,6 +118,28 @@ def test_many_events_everywhere_are_a_storm_and_in_a_part_a_motion(share: float,
     assert pattern.storm is storm
     pattern.judge(sensor.stretch())
     assert not pattern.storm
+
+
+def test_slow_motion_is_not_learnt_as_rest() -> None:
+    sensor = Sensor(16, spread=0.5)
+    pattern = NoisePattern(WIDTH, WINDOW_US)
+    learn(pattern, sensor, 12)
+    for _ in range(60):
+        pattern.learn(moving(sensor.stretch(), sensor.random, 0.4, 400), SHAPE)
+    for _ in range(200):
+        pattern.judge(sensor.stretch())
+        assert not pattern.missing
+
+
+def test_nothing_is_said_where_most_of_the_skin_moves() -> None:
+    sensor = Sensor(17)
+    pattern = learnt(sensor)
+    for _ in range(100):
+        noise, first = sensor.stretch(), int(0.85 * WIDTH)
+        left = noise[noise.x >= first]
+        other = replace(left, x=(WIDTH - 1 + first - left.x).astype(np.uint16))
+        pattern.judge(moving(other, sensor.random, 0.85))
+        assert not pattern.missing
 
 
 @pytest.mark.parametrize(('left', 'silent'), [(0.0, False), (0.1, False), (0.5, True), (1.0, True)])
