@@ -163,14 +163,14 @@ def _late_frames(late: int) -> Fault:
     return fault
 
 
-def _slow_event_clock(stream: Stream) -> None:
-    """Let later and later times of the camera be given to the events."""
+def _fast_event_clock(stream: Stream) -> None:
+    """Give the events later and later times."""
     begin = stream.begin_us
 
-    def slow(events: Events, _: Random) -> Events:
+    def fast(events: Events, _: Random) -> Events:
         return replace(events, t=begin + (1.002 * (events.t - begin)).astype(np.int64))
 
-    of_events(slow)(stream)
+    of_events(fast)(stream)
 
 
 def _few_frames(stream: Stream) -> None:
@@ -440,7 +440,7 @@ UNSEEN: dict[str, Fault] = {
     'event times wrong by 0 to 5 ms': of_events(
         lambda events, random: replace(events, t=events.t + random.integers(0, 5000, len(events)))
     ),
-    'event clock 0.2 % slow': _slow_event_clock,
+    'event clock 0.2 % fast': _fast_event_clock,
     'two of three frames lost': _few_frames,
     'every second row one frame late': _mixed_rows,
     'gains of columns': of_images(
