@@ -63,6 +63,11 @@ class DeviationHead(nn.Module):
         return self.scale * self.log_deviation(hidden, force, moved).exp()
 
 
+def usual_device() -> str:
+    """Return `cuda` where there is a GPU, else `cpu`."""
+    return 'cuda' if torch.cuda.is_available() else 'cpu'
+
+
 def count_parameters(network: nn.Module) -> int:
     """Return the number of trained parameters."""
     return sum(parameter.numel() for parameter in network.parameters())

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -27,6 +26,7 @@ from mixtac_fger.fger_net import (
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
+from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
@@ -181,8 +181,7 @@ def trial_estimator(model: Model) -> TrialEstimator:
         ModelError: The weights do not fit their architecture, or it is unknown.
     """
     if model.architecture == PAPER_ARCHITECTURE:
-        device = 'cuda' if torch.cuda.is_available() else 'cpu'
-        return partial(paper_estimate, paper_network_of(model).to(device))
+        return partial(paper_estimate, paper_network_of(model).to(usual_device()))
     open_estimator(model)
     return partial(live_estimate, model)
 

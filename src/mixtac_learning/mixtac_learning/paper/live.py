@@ -19,7 +19,7 @@ from mixtac_events.frames import bin_mean
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import ImageError
 from mixtac_fger.weights import Model
-from mixtac_learning.network import count_parameters
+from mixtac_learning.network import count_parameters, usual_device
 from mixtac_learning.paper.networks import (
     EventsOnly,
     FeatureFusion,
@@ -60,8 +60,7 @@ class PaperEstimator:
     gives_deviation = False
 
     def __init__(self, model: Model, device: str = '') -> None:
-        chosen = device or ('cuda' if torch.cuda.is_available() else 'cpu')
-        self._device = torch.device(chosen)
+        self._device = torch.device(device or usual_device())
         self._network = paper_network_of(model).to(self._device)
         self._config = config = self._network.config
         self.width, self.height, self.window_us = config.width, config.height, config.window_us

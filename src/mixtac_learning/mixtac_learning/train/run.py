@@ -26,7 +26,7 @@ from mixtac_fger.weights import (
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped
-from mixtac_learning.network import model_of
+from mixtac_learning.network import model_of, usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
@@ -319,7 +319,7 @@ def chosen_device(name: str) -> str:
         TrainingError: A GPU is asked for, and there is none.
     """
     if name == 'auto':
-        return 'cuda' if torch.cuda.is_available() else 'cpu'
+        return usual_device()
     if name.startswith('cuda') and not torch.cuda.is_available():
         raise TrainingError(f'device {name} is asked for, but torch finds no GPU: use cpu or auto')
     return name
