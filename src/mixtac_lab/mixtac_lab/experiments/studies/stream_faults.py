@@ -120,10 +120,15 @@ def _frames_of_another(stream: Stream) -> None:
             stream.frames[index] = np.minimum(theirs, np.uint16(FULL_SCALE))
 
 
-def _no_frames(stream: Stream) -> None:
-    for index, middle in enumerate(stream.mid_us):
-        if middle >= stream.begin_us:
-            stream.frames[index] = None
+def _frames_lost(period: int) -> Fault:
+    """Lose all frames but one of each period; 0: all."""
+
+    def fault(stream: Stream) -> None:
+        for index, middle in enumerate(stream.mid_us):
+            if middle >= stream.begin_us and not (period and index % period == 0):
+                stream.frames[index] = None
+
+    return fault
 
 
 def _frames_in_a_loop(stream: Stream) -> None:
@@ -171,12 +176,6 @@ def _fast_event_clock(stream: Stream) -> None:
         return replace(events, t=begin + (1.002 * (events.t - begin)).astype(np.int64))
 
     of_events(fast)(stream)
-
-
-def _few_frames(stream: Stream) -> None:
-    for index, middle in enumerate(stream.mid_us):
-        if middle >= stream.begin_us and index % 3:
-            stream.frames[index] = None
 
 
 def _mixed_rows(stream: Stream) -> None:
@@ -367,7 +366,7 @@ SEEN: dict[str, Fault] = {
     'one polarity only': of_events(_brighter),
     '200 hot pixels': of_events(_hot),
     'another camera': both(_frames_of_another, _of_another),
-    'no frames': _no_frames,
+    'no frames': _frames_lost(0),
     'picture inverted': of_images(lambda image, _: FULL_SCALE - image),
     'lens out of focus': of_images(_blurred),
     'lens covered in part': of_images(_covered),
@@ -441,7 +440,7 @@ UNSEEN: dict[str, Fault] = {
         lambda events, random: replace(events, t=events.t + random.integers(0, 5000, len(events)))
     ),
     'event clock 0.2 % fast': _fast_event_clock,
-    'two of three frames lost': _few_frames,
+    'two of three frames lost': _frames_lost(3),
     'every second row one frame late': _mixed_rows,
     'gains of columns': of_images(
         lambda image, _: image * np.random.default_rng(5).normal(1.0, 0.03, image.shape[1])
