@@ -214,19 +214,30 @@ def add_seen(seen: NDArray[np.int32], number: int, share: float, pattern: F32) -
         before[index] = before[index] * old + (new if now[index] == number else np.float32(0.0))
 
 
+@njit(cache=True, nogil=True)
 def less_local_mean(pattern: F32) -> F32:
-    """Return a pattern less its mean over `RADIUS` bins to each side.
+    """Return a pattern less its mean over `RADIUS` bins to each side, the border repeated.
 
     Args:
-        pattern: float32 [..., rows, columns].
+        pattern: float32 [2, rows, columns].
     """
-    width = 2 * RADIUS + 1
-    around = [(0, 0)] * (pattern.ndim - 2)
-    padded = np.pad(pattern.astype(np.float64), [*around, *[(RADIUS, RADIUS)] * 2], mode='edge')
-    sums = np.pad(padded.cumsum(-2).cumsum(-1), [*around, (1, 0), (1, 0)])
-    box = sums[..., width:, :] - sums[..., :-width, :]
-    box = (box[..., width:] - box[..., :-width]) / width**2
-    return np.asarray(pattern - box, np.float32)
+    planes, rows, columns = pattern.shape
+    out, beside = np.empty_like(pattern), np.empty((rows, columns))
+    area = (2 * RADIUS + 1) ** 2
+    for plane in range(planes):
+        for row in range(rows):
+            for column in range(columns):
+                total = np.float64(0.0)
+                for near in range(column - RADIUS, column + RADIUS + 1):
+                    total += pattern[plane, row, min(max(near, 0), columns - 1)]
+                beside[row, column] = total
+        for row in range(rows):
+            for column in range(columns):
+                total = np.float64(0.0)
+                for near in range(row - RADIUS, row + RADIUS + 1):
+                    total += beside[min(max(near, 0), rows - 1), column]
+                out[plane, row, column] = pattern[plane, row, column] - total / area
+    return out
 
 
 class NoisePattern:
@@ -364,3 +375,4 @@ def warm_up() -> None:
     weigh(sums, counts, sums, counts)
     count_silent(counts, counts, counts)
     add_seen(seen, 1, 0.5, pattern)
+    less_local_mean(pattern)
