@@ -59,6 +59,8 @@ TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
 """Widths around the contact over which moments of a frame are summed [bins]."""
 MOMENTS = 5 + len(TURNING_WIDTHS)
 """Number of moments of a frame; see `mixtac_fger.moments`."""
+FEWEST_WINDOWS = 10
+"""Least of `FgerConfig.history_windows`: what is read around a frame."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
@@ -163,8 +165,13 @@ class FgerConfig:
             value = getattr(self, field.name)
             if type(value) not in {int, float}:
                 continue
-            if value < 0 or (value == 0 and field.name != 'deviation_size'):
-                raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive value')
+            if not 0 <= value < math.inf or (value == 0 and field.name != 'deviation_size'):
+                raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive number')
+        if self.history_windows < FEWEST_WINDOWS:
+            raise ConfigError(
+                f'FgerConfig.history_windows = {self.history_windows}: give {FEWEST_WINDOWS} or'
+                ' more'
+            )
         if self.frame_bin % self.gradient_bin:
             raise ConfigError(
                 f'FgerConfig.frame_bin = {self.frame_bin}: give a multiple of gradient_bin'

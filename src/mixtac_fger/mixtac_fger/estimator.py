@@ -299,6 +299,8 @@ class EstimatorStatus(EstimatorCounters):
 
 SERIAL_KEY = 'sensor_serial'
 """Key in `ModelCard.training` of the camera's serial number, for a model adapted to one sensor."""
+CALIBRATED_KEY, ADAPTED_KEY = 'calibrated', 'adapted'
+"""Keys in `ModelCard.training` of how the gain of one sensor became known."""
 
 
 @dataclass(frozen=True, slots=True)

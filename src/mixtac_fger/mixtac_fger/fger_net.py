@@ -63,6 +63,8 @@ On eight simulated sensors that no model was trained on, the mean change of the 
 5.0 times that between them with one window, 1.2 times with ten; the mean absolute error grows from
 0.0384 to 0.0394 N.
 """
+DIVISORS = {'event.scale', 'frame.scale', 'frame.spread'}
+"""Tensors by which inputs are divided."""
 BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
 but never two frames in a row."""
@@ -124,6 +126,9 @@ def checked_config(model: Model) -> FgerConfig:
                 f'tensor {name} has shape {shapes.get(name)}, but {wanted.get(name)} is needed',
                 remedy=MODEL_REMEDY,
             )
+    for name in DIVISORS & shapes.keys():
+        if not (model.tensors[name] > 0.0).all():
+            raise ModelError(f'tensor {name} has values that are not above 0', remedy=MODEL_REMEDY)
     return config
 
 

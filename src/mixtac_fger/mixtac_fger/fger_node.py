@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -265,8 +266,12 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         region = info.roi
         part = (region.x_offset, region.y_offset, region.width, region.height)
         before = self._lens
-        if info.k[0] > 0.0:
-            self._lens = float(info.k[0]), (float(info.k[2]), float(info.k[5]))
+        focal, column, row = map(float, (info.k[0], info.k[2], info.k[5]))
+        # Whose axis is far from the middle is no calibration.
+        middle = abs(4.0 * column - 2.0 * info.width) < info.width
+        middle &= abs(4.0 * row - 2.0 * info.height) < info.height
+        if 0.0 < focal < math.inf and middle:
+            self._lens = focal, (column, row)
         if self._lens != before and self._feed is not None:
             self._feed.estimator.use_contact(self._settings.contact_settings(*self._lens))
         cut = max(info.binning_x, info.binning_y) > 1 or part not in whole
@@ -293,9 +298,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def _know_serial(self, before: str) -> None:
         """Use the kept reference of a camera that was not known before; forget another's."""
         feed, estimator = self._feed, self._estimator
-        if before and feed is not None:
-            feed.estimator.change_camera()
+        if before:
+            self._trusted = self._trusted_shear = None
             self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
+            if feed is not None:
+                feed.estimator.change_camera()
         if self._settings.reference or estimator is None:
             return
         self._reference = None
@@ -420,6 +427,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             if self._feed is None:
                 raise TareError('the node is not active', remedy='activate it first')
             self._feed.estimator.tare()
+            self._trusted = self._trusted_shear = None
             stored = self._store_reference(self._feed)
         except MixtacError as error:
             reply.success, reply.message = False, str(error)

@@ -184,13 +184,28 @@ def _long_runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST_S / BIN_S]
 
 
+LONGEST_GAP_S = 3600.0
+"""Longest time without an estimate; more, or a step back, is a clock that jumped."""
+
+
 def binned(t_s: F64, force_n: F64) -> tuple[F64, F64]:
     """Return the middles of steps of `BIN_S` and the mean force in each, NaN where there is none.
 
     A series with long gaps should be cut before: the steps between are all there.
+
+    Raises:
+        ForceCalibrationError: Time goes back, or jumps.
     """
     if not len(t_s):
         return np.zeros(0), np.zeros(0)
+    steps = np.diff(t_s)
+    if steps.min(initial=0.0) < 0.0 or steps.max(initial=0.0) > LONGEST_GAP_S:
+        jump = float(steps[np.abs(steps).argmax()])
+        raise ForceCalibrationError(
+            f'the clock of the camera jumped by {jump:+.1f} s',
+            'zero',
+            'look at the log for a reconnection of the camera, and begin again',
+        )
     index = ((t_s - t_s[0]) / BIN_S).astype(np.int64)
     count = np.bincount(index)
     with np.errstate(invalid='ignore'):
@@ -418,8 +433,9 @@ DOUBT = 2.0
 """Residuals beyond so many are worth a second look."""
 GAINS = (0.2, 5.0)
 """Limits of a gain that a gel can explain (estimate)."""
-FEWEST = 2
-"""Loads that a calibration needs: one fits, another one checks."""
+FEWEST, ANOTHER = 2, 1.1
+"""Loads that a calibration needs, one to fit and another one to check; and the largest of them over
+the smallest, at least."""
 
 
 class Point(NamedTuple):
@@ -482,10 +498,12 @@ def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibra
         ForceCalibrationError: There are too few loads, or the gain is impossible, or the loads
             disagree.
     """
-    if len({load.force_n for load in loads}) < FEWEST:
+    sizes = [load.force_n for load in loads]
+    if len(sizes) < FEWEST or max(sizes) < ANOTHER * min(sizes):
+        values = ', '.join(f'{size:.3f}' for size in sizes)
         raise ForceCalibrationError(
-            f'{len(loads)} loads of {len({load.force_n for load in loads})} values: one fits the'
-            ' gain, and another one checks it',
+            f'loads of {values} N: one fits the gain, and one that is larger by'
+            f' {ANOTHER - 1.0:.0%} or more checks it',
             'few',
         )
     force, seen, gain, variance = _regression(loads, plateaus)

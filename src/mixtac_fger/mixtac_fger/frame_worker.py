@@ -33,7 +33,7 @@ class FrameWorker:
 
     Attributes:
         refused: Frames of a size that the model does not read.
-        problem: Why the latest of these was refused.
+        problem: Why the latest of these was refused, or no contact was found in a frame.
         felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
 
     Args:
@@ -104,8 +104,14 @@ class FrameWorker:
                     # The force waits for nothing.
                     self._hand_out(encoded)
                     if feels:
-                        self.felt = feel(encoded) or self.felt
+                        self._feel(encoded)
             self._inbox.task_done()
+
+    def _feel(self, encoded: EncodedFrame) -> None:
+        try:
+            self.felt = feel(encoded) or self.felt
+        except Exception as error:  # noqa: BLE001 - a contact that cannot be found costs no force
+            self.problem = f'the contact cannot be found ({error!r})'
 
     def _hand_out(self, frame: EncodedFrame) -> None:
         with contextlib.suppress(IndexError):

@@ -106,7 +106,7 @@ class Reference:
 
     @property
     def number(self) -> int:
-        """How many references there have been, this one included."""
+        """Changes with each reference, and where one is forgotten."""
         return self._number
 
     @property
@@ -159,6 +159,8 @@ class Reference:
         with self._lock:
             self._array, self._known = None, False
             self._recent.clear()
+            # Frames that were compared with it count as those of a replaced one.
+            self._number += 1
 
     def save(self, path: Path) -> None:
         """Write the reference to a `.npz` file; an existing reference file is replaced.

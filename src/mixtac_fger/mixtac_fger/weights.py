@@ -88,9 +88,10 @@ def read_tensors(
     try:
         with safe_open(path, framework='np') as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+    # NumPy has no bfloat16 and no float8, which safetensors meets with one of the last two.
+    except (SafetensorError, OSError, TypeError, AttributeError) as error:
         text = ' '.join(str(error).split())
-        raise error_type(f'{path} is not a safetensors file ({text})', remedy=remedy) from error
+        raise error_type(f'{path} cannot be read as safetensors ({text})', remedy=remedy) from error
 
 
 MODEL_REMEDY = 'train one with "mixtac train" or use the model that comes with the package'

@@ -247,3 +247,18 @@ def test_the_stated_uncertainty_of_the_loads_widens_that_of_the_gain():
     assert rough.gain_sd > exact.gain_sd
     with pytest.raises(ForceCalibrationError):
         fit_gain([Load(0.5, 0.01)], [exact.points[0].plateau])
+
+
+def test_one_load_that_is_measured_twice_is_one():
+    plateau = calibrated().points[0].plateau
+    with pytest.raises(ForceCalibrationError) as caught:
+        fit_gain([Load(0.4903, 0.01), Load(0.4905, 0.01)], [plateau, plateau])
+    assert caught.value.reason == 'few'
+
+
+@pytest.mark.parametrize('jump_s', [-3.0, 1e9])
+def test_a_clock_that_jumps_is_named(jump_s):
+    t_s, force_n = procedure()
+    t_s[len(t_s) // 2 :] += jump_s
+    with pytest.raises(ForceCalibrationError, match='jumped'):
+        find_plateaus(t_s, force_n, ())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
@@ -278,6 +279,16 @@ def test_another_camera_needs_a_zero_of_its_own(model, trial):
     estimator.use_reference(kept)
     noisy_frames(estimator, trial.frames[0], 840_000)
     assert Reason.OTHER_CAMERA not in reasons(estimator, 1_100_000)
+
+
+def test_frames_that_were_compared_with_a_forgotten_reference_are_told_apart(model):
+    reference = FgerEstimator(model).reference
+    picture = np.zeros(FgerConfig.from_dict(model.config).frame_shape, np.float32)
+    for _ in range(reference.frames):
+        found = reference.add(picture)
+    assert found[1] == reference.number
+    reference.forget()
+    assert found[1] != reference.number
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,25 @@ def test_a_missing_tensor_is_named(saved):
     assert 'event.hidden.bias' in refusal(rewritten(path, tensors))
 
 
+@pytest.mark.parametrize('name', ['event.scale', 'frame.scale', 'frame.spread'])
+def test_what_cannot_be_divided_by_is_named(saved, name):
+    path, _ = saved
+    tensors = load_file(path)
+    tensors[name] = np.zeros_like(tensors[name])
+    assert name in refusal(rewritten(path, tensors))
+
+
+def test_numbers_that_numpy_does_not_know_are_refused(saved):
+    path, _ = saved
+    content = path.read_bytes()
+    size = int.from_bytes(content[:8], 'little')
+    head = json.loads(content[8 : 8 + size])
+    head['correction.2.bias'].update(dtype='BF16', data_offsets=[0, 2])
+    text = json.dumps({k: head[k] for k in ('__metadata__', 'correction.2.bias')}).encode()
+    path.write_bytes(len(text).to_bytes(8, 'little') + text + bytes(2))
+    assert str(path) in refusal(path)
+
+
 @pytest.mark.parametrize('content', [b'', b'not a model', b'\xff' * 64])
 def test_another_kind_of_file_is_named(tmp_path, content):
     path = tmp_path / 'photo.safetensors'
@@ -135,6 +154,9 @@ def test_an_unusable_configuration_is_named(saved, config):
         ('frame_channels', ('colour',)),
         ('frame_channels', ()),
         ('correction_point', 'never'),
+        ('force_unit', float('nan')),
+        ('reference_stillness', float('inf')),
+        ('history_windows', 1),
     ],
 )
 def test_impossible_configurations_are_refused(field, value):

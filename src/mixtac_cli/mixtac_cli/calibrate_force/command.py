@@ -18,7 +18,7 @@ from mixtac_cli.figures import FORCE, MARK, make_table, new_figure, save_figure
 from mixtac_cli.figures import REFERENCE as KNOWN
 from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
 from mixtac_fger.config import ModelError
-from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.estimator import ADAPTED_KEY, CALIBRATED_KEY, SERIAL_KEY
 from mixtac_fger.force_calibration import (
     DOUBT,
     ForceCalibration,
@@ -35,8 +35,6 @@ from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE
 DEFAULT_LOADS, CHECK_LOADS = '20,50,100', '50'
 LOAD_SD_G, SCALE_SD_G = 1.0, 2.0
 """Standard uncertainty of a load unless it is stated: household weights, a hand on a scale [g]."""
-KEY = 'calibrated'
-"""Entry of the model card that describes the calibration."""
 
 
 def calibrate_force(
@@ -160,7 +158,7 @@ def _checked(content: Model, path: Path, out: Path | None, *, check: bool, sidew
             f'{path} gives no sideways force', remedy='give no --sideways-loads, or another model'
         )
     if check:
-        found = content.card.training.get(KEY)
+        found = content.card.training.get(CALIBRATED_KEY)
         if not isinstance(found, dict):
             raise ModelError(
                 f'{path} was not calibrated, so there is nothing to check',
@@ -276,10 +274,13 @@ def save_calibrated(
     from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain, with_sideways_gain
     from mixtac_fger.weights import save_model
 
-    training = model.card.training | {KEY: entry}
+    before = model.card.training
+    training = before | {CALIBRATED_KEY: entry}
     if entry['serial']:
         training[SERIAL_KEY] = entry['serial']
-    scaled = with_gain(model, calibration.gain, CALIBRATED_DEVIATION)
+    # Deviations become those of a known gain once.
+    known = not {CALIBRATED_KEY, ADAPTED_KEY}.isdisjoint(before)
+    scaled = with_gain(model, calibration.gain, 1.0 if known else CALIBRATED_DEVIATION)
     if sideways is not None:
         gain, _ = sideways.elsewhere(calibration.gain)
         scaled = with_sideways_gain(scaled, gain / calibration.gain)

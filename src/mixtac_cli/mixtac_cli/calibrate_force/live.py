@@ -111,7 +111,15 @@ class LiveProcedure:
             GraphError: A node failed.
         """
         # It asks for an untouched sensor before it starts one.
-        estimator = {'model': str(model.resolve()), 'force_scale': 1.0, 'assume_free': True}
+        estimator = {
+            'model': str(model.resolve()),
+            'assume_free': True,
+            # Whatever the parameter file says: what is measured is the model.
+            'force_scale': 1.0,
+            'sideways_scale': 1.0,
+            'invalid_force': 'withhold',
+            'tare_on_release': False,
+        }
         # A virtual sensor on a slow host takes longer rather than losing events.
         virtual = {'slow_host': 'wait'}
         nodes = sensor_graph(self._device, estimator=estimator, virtual_sensor=virtual)

@@ -90,7 +90,8 @@ def from_bag(
         recording.close()
     if not len(t_us):
         raise ForceCalibrationError(
-            f'{path} gives no force: it begins in contact, or has no frames',
+            f'{path} gives no valid force: it begins in contact, has no frames, or its pictures'
+            ' are not those of its begin',
             'contact',
             'record events and frames, and begin with a second without a load',
         )
@@ -118,23 +119,25 @@ def from_bag(
 def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64]:
     """Return window ends [us, recorded camera clock] and estimates of a recording.
 
-    Estimates are the normal force, and that along x and y, NaN where it is unknown [N], [T, 3].
+    Estimates are the normal force, and that along x and y, NaN where it is unknown [N], [T, 3];
+    those that are not valid are left out.
     """
     from mixtac_fger.estimator import open_estimator
     from mixtac_fger.streaming import ForceEstimator
     from mixtac_recordings.messages import left_aligned
 
-    estimator = ForceEstimator(open_estimator(model))
+    # A recording for a calibration begins without a load.
+    estimator = ForceEstimator(open_estimator(model), assume_free=True)
     rows: list[tuple[float, ...]] = []
     for piece in recording.pieces(recording.info.start_us):
         for frame in piece.frames:
             image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
             estimator.push_frame(image, frame.middle_us)
         if piece.advances:
-            found = estimator.push_events(piece.events, piece.until_us)
-            for each in found:
+            for each in estimator.push_events(piece.events, piece.until_us):
                 x, y = (np.nan, np.nan) if each.shear is None else each.shear[:2]
-                rows.append((each.end_us, each.force, x, y))
+                if each.valid:
+                    rows.append((each.end_us, each.force, x, y))
     table = np.array(rows, np.float64).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1:]
 

@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from typer.testing import CliRunner
 
 from mixtac_cli.calibrate_force import session
 from mixtac_cli.calibrate_force.command import calibrate_force, parse_loads
+from mixtac_events.arrays import Events
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.force_calibration import GRAVITY, ForceCalibrationError
@@ -169,6 +171,35 @@ def test_the_weight_file_says_how_it_was_calibrated(done):
     assert entry['from'] == 'fger_small.safetensors'
     head = shipped.tensors['frame.head.weight']
     assert model.tensors['frame.head.weight'] == pytest.approx(entry['gain'] * head, rel=1e-4)
+
+
+def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
+    words = ('--bag', bag, '--loads', '50,100', '--model', done / 'm.safetensors')
+    result = calibrate(*words, '--out', tmp_path / 'again.safetensors')
+    assert result.exit_code == 0, result.output
+    once, twice = (
+        read_model(folder) for folder in (done / 'm.safetensors', tmp_path / 'again.safetensors')
+    )
+    share = [m.tensors['deviation.scale'] / m.config['force_unit'] for m in (once, twice)]
+    assert share[1] == pytest.approx(share[0])
+
+
+def test_forces_that_are_not_valid_are_left_out():
+    random = np.random.default_rng(0)
+    own, other = (np.exp(random.normal(5.0, 0.3, (260, 346))) for _ in range(2))
+
+    def pieces(start_us):
+        for index in range(40):
+            end_us = start_us + 40_000 * (index + 1)
+            image = (own if index < 15 else other) + random.normal(0.0, 2.0, own.shape)
+            frame = SimpleNamespace(image=image.astype(np.uint16), middle_us=end_us - 20_000)
+            yield SimpleNamespace(
+                frames=[frame], advances=True, events=Events.empty(), until_us=end_us
+            )
+
+    recording = SimpleNamespace(info=SimpleNamespace(start_us=1_000_000), pieces=pieces)
+    t_us, _ = session.estimated(recording, read_model(find_model('fger_small')))
+    assert 300_000 < t_us[-1] - 1_000_000 < 16 * 40_000
 
 
 def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):

@@ -21,7 +21,7 @@ from rich.console import Console
 from torch import Tensor, nn
 
 from mixtac_fger import fger_net
-from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.estimator import ADAPTED_KEY, CALIBRATED_KEY, SERIAL_KEY
 from mixtac_fger.force_calibration import GAINS
 from mixtac_fger.pull_calibration import PullCalibration
 from mixtac_fger.weights import Model, ModelCard, read_model, save_model
@@ -303,8 +303,10 @@ def run_adaptation(
         content = fger_net.with_sideways_gain(content, gain)
         figures |= {'sideways_gain': round(gain, 4), 'sideways_gain_sd': round(gain_sd, 4)}
         console.print(f'sideways gain {gain:.3f} +- {gain_sd:.3f}; at the pulls {fit.gain:.3f}')
-    training = start.card.training | {
-        'adapted': {'from': model.name, 'bags': [each.name for each in sources]} | figures
+    # What the model was calibrated or adapted to before is no longer so.
+    before = {k: v for k, v in start.card.training.items() if k not in (SERIAL_KEY, CALIBRATED_KEY)}
+    training = before | {
+        ADAPTED_KEY: {'from': model.name, 'bags': [each.name for each in sources]} | figures
     }
     if serial:
         training[SERIAL_KEY] = serial

@@ -13,7 +13,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from mixtac_fger.weights import read_model
+from mixtac_fger.estimator import ADAPTED_KEY
+from mixtac_fger.weights import Model, read_model
 from mixtac_learning.judge.estimators import (
     Judged,
     TrialEstimator,
@@ -30,7 +31,7 @@ from mixtac_learning.judge.report import (
     write_series,
 )
 from mixtac_learning.judge.robustness import robustness
-from mixtac_learning.trials.bags import bag_sources
+from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import TrialSource
 from mixtac_node.files import write_json
@@ -94,6 +95,7 @@ def run_evaluation(
             for source in bag_sources(folder, reference)
             if source.path == folder or source.origin.get('split', 'test') == 'test'
         ]
+        _warn_of_trained(model, chosen_bags)
         sources = chosen_bags
         judged = judge_sources(estimator, track(sources, 'judging', transient=True))
         for source in chosen_bags:
@@ -128,6 +130,15 @@ def run_evaluation(
             text = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
             console.print(f'{kind.replace("_", " ")}: {text}', highlight=False)
     write_json(json, content)
+
+
+def _warn_of_trained(model: Model, bags: Sequence[BagSource]) -> None:
+    training = model.card.training
+    known = {*training.get('bags', ()), *training.get(ADAPTED_KEY, {}).get('bags', ())}
+    trained = [bag.name for bag in bags if bag.name in known]
+    if trained:
+        names = ', '.join(trained)
+        print(f'warning: the model was trained on bags of these names: {names}', file=sys.stderr)
 
 
 def judge_devices(

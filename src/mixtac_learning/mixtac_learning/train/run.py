@@ -226,11 +226,13 @@ class Trained:
     Attributes:
         model: Content of its weight file, without figures.
         curves: One row per epoch.
+        sources: Trials that it was trained on.
         skipped: Trials that were left out, with the reason.
     """
 
     model: Model
     curves: list[dict[str, Any]]
+    sources: list[TrialSource]
     skipped: dict[str, str]
 
 
@@ -309,7 +311,7 @@ def train_model(
     }
     if folder is not None and together.leads:
         write_curves(folder, curves)
-    return Trained(with_card(ModelCard(training)), curves, data.skipped)
+    return Trained(with_card(ModelCard(training)), curves, data.sources, data.skipped)
 
 
 def chosen_device(name: str) -> str:
@@ -371,7 +373,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         if not processes.leads:
             return
         show_skipped(console, trained.skipped)
-        metrics = judge_trained(config, trained.model)
+        metrics = judge_trained(config, trained)
         for title, figures in metrics.items():
             show_figures(console, title.replace('_', ' '), figures)
         card = ModelCard(trained.model.card.training, metrics)
@@ -395,7 +397,7 @@ def default_folder(config: RunConfig) -> Path:
     return Path('runs') / f'train_{config.model}_{digest}'
 
 
-def judge_trained(config: RunConfig, model: Model) -> dict[str, Any]:
+def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     """Return the figures of a model that was trained on simulated trials.
 
     Returns:
@@ -405,14 +407,15 @@ def judge_trained(config: RunConfig, model: Model) -> dict[str, Any]:
     data = config.data.simulated
     if data is None or config.judged < 1:
         return {}
-    first = model.card.training['device_seeds'][0]
-    count = min(data.sensors, data.trials)
+    preset = data.presets[0]
+    origins = [source.origin for source in trained.sources]
+    # By another preset the same seed is another sensor.
+    known = sorted({each['device_seed'] for each in origins if each['preset'] == preset})
     most = -(-config.judged // 2)
-    seen = list(range(first, first + count, max(count // most, 1)))[:most]
-    estimator = trial_estimator(model)
+    seen = known[:: max(len(known) // most, 1)][:most]
+    estimator = trial_estimator(trained.model)
+    unseen = unseen_devices(config.judged, 0)
     return {
-        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.presets[0])[1],
-        'unseen_devices': judge_devices(
-            estimator, unseen_devices(config.judged, 0), EVALUATION_SECONDS, 1, data.presets[0]
-        )[1],
+        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, preset)[1],
+        'unseen_devices': judge_devices(estimator, unseen, EVALUATION_SECONDS, 1, preset)[1],
     }

@@ -194,12 +194,13 @@ class BagSource:
         return {'bag': str(self.path)} | self.described | {'name': self.name}
 
     def content_key(self) -> str:
-        """Return a digest of the bag's files, its clock fit and the topic of its reference.
+        """Return a digest of the bag's files and description, clock fit and reference topic.
 
         Raises:
             DatasetError: They cannot be read.
         """
         digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
+        digest.update(json.dumps(self.described, sort_keys=True, default=str).encode())
         fit = self.path.with_name(f'{self.path.name}.clock_fit.json')
         try:
             files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]

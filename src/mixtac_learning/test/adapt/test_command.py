@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac_fger.weights import read_model, write_model
+from mixtac_fger.weights import ModelCard, read_model, write_model
 from mixtac_learning.adapt import adaptation
 from mixtac_learning.adapt import adaptation as command
 from mixtac_learning.adapt.adaptation import run_adaptation
@@ -74,6 +74,14 @@ def test_the_new_model_is_written_with_what_was_done(
     card = out.with_suffix('.md').read_text()
     assert 'adaptation' in card
     assert 'held out mae gain' in card
+
+
+def test_what_was_known_of_another_sensor_goes(adapt, model, tmp_path):
+    card = ModelCard({'sensor_serial': 'A1', 'calibrated': {'gain': 2.0}, 'trials': 7})
+    write_model(tmp_path / 'start.safetensors', replace(model, card=card))
+    adapt()
+    training = read_model(tmp_path / 'new.safetensors').card.training
+    assert set(training) == {'trials', 'adapted'}
 
 
 def test_loads_belong_to_one_recording(adapt):

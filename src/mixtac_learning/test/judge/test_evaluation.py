@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixtac_fger.weights import write_model
+from mixtac_fger.weights import ModelCard, write_model
 from mixtac_learning.judge import evaluation
 from mixtac_learning.judge.report import SERIES
 from mixtac_learning.trials.trial import DatasetError, TrialArrays
@@ -49,11 +49,13 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(
 
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
-    write_model(path, model)
+    write_model(path, replace(model, card=ModelCard({'bags': ['a', 'b']})))
     bags = [Path('one.bag'), Path('folder')]
     series = tmp_path / 'forces.npz'
     evaluation.run_evaluation(path, bags, reference='/w', json=out, series=series)
-    assert 'its end is missing' in capsys.readouterr().err
+    warnings = capsys.readouterr().err
+    assert 'its end is missing' in warnings
+    assert 'trained on bags of these names: b\n' in warnings
     assert json.loads(out.read_text())['bags'] == ['one.bag', 'b']
     found = np.load(series)
     assert set(found['trial']) == {'one.bag', 'b'}

@@ -65,6 +65,12 @@ def test_a_bag_holds_what_was_simulated(loaded):
     assert loaded.origin['device_seed'] == 41
 
 
+def test_another_description_is_another_content(folder):
+    bag = folder / SPEC.name
+    keys = {BagSource(bag, described={'sensor': name}).content_key() for name in 'ab'}
+    assert len(keys) == 2
+
+
 def test_the_fit_beside_the_bag_is_used(folder, loaded, tmp_path):
     bag = tmp_path / SPEC.name
     shutil.copytree(folder / SPEC.name, bag)
