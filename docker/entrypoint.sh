@@ -8,7 +8,7 @@ if [ -n "${ROS_DISTRO:-}" ]; then
     . "/opt/ros/$ROS_DISTRO/setup.bash"
 fi
 # shellcheck disable=SC1091
-. "$MIXTAC_HOME/tools/env.sh"
+. "$MIXTAC_ROOT/tools/env.sh"
 if [ "${1:-}" = mixtac ]; then
     shift
     exec python -m mixtac_cli "$@"

@@ -5,7 +5,7 @@
 set -e
 case "${1:-force}" in
     force)
-        exec entrypoint.sh python "$MIXTAC_HOME/docker/await_force.py"
+        exec entrypoint.sh python "$MIXTAC_ROOT/docker/await_force.py"
         ;;
     view)
         exec python3 -c "import urllib.request as u; u.urlopen('http://127.0.0.1:${2:-9090}', timeout=5)"

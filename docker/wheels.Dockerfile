@@ -43,9 +43,11 @@ RUN apt-get update \
     && useradd --create-home --uid 10001 --groups plugdev,video mixtac
 COPY --from=build --chown=mixtac:mixtac /opt/mixtac /opt/mixtac
 COPY --chmod=755 docker/entrypoint.sh docker/healthcheck.sh /usr/local/bin/
+# Volumes take their owner from here.
+RUN install -d -o mixtac -g mixtac /home/mixtac/.local/state/mixtac
 USER 10001
 WORKDIR /home/mixtac
-ENV MIXTAC_HOME=/opt/mixtac \
+ENV MIXTAC_ROOT=/opt/mixtac \
     NUMBA_CACHE_DIR=/home/mixtac/.cache/numba \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 HEALTHCHECK --interval=15s --timeout=12s --start-period=60s --retries=3 CMD ["healthcheck.sh", "force"]

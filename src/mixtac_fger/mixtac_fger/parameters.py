@@ -44,7 +44,8 @@ class FgerParameters:
             for the virtual sensor and recordings.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
         contact: Find where the sensor is touched, and publish `contact` and `contact_point`, while
-            somebody subscribes. Takes effect at the next activation, as the next seven.
+            somebody subscribes. Takes effect at the next
+            activation, as do `contact_on` to `displacement`.
         contact_on: Force from which on `contact` says that something touches the sensor.
         contact_off: Force below which `contact` says that the touch has ended.
         object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
