@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -16,12 +17,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
 KEYS = {
     'cv2': 'python3-opencv',
+    'hypothesis': 'python3-hypothesis',
     'jinja2': 'python3-jinja2',
     'joblib': 'python3-joblib',
     'matplotlib': 'python3-matplotlib',
     'numba': 'python3-numba',
     'numpy': 'python3-numpy',
     'psutil': 'python3-psutil',
+    'pytest': 'python3-pytest',
     'rich': 'python3-rich',
     'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy',
@@ -51,25 +54,29 @@ OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
 
 def imported(package: str) -> set[str]:
     """Return the top-level names of what the modules of a package import."""
-    found: set[str] = set()
     modules = [*(ROOT / 'src' / package / package).rglob('*.py')]
     if package == 'mixtac_bringup':
         modules += (ROOT / 'launch').glob('*.py')
+    return imports(modules) - {package}
+
+
+def imports(modules: Iterable[Path]) -> set[str]:
+    found: set[str] = set()
     for path in modules:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition('.')[0])
-    return found - set(sys.stdlib_module_names) - {package, '__future__'} - OPTIONAL
+    return found - set(sys.stdlib_module_names) - {'__future__'} - OPTIONAL
 
 
 def manifest(package: str) -> ET.Element:
     return ET.parse(ROOT / 'src' / package / 'package.xml').getroot()
 
 
-def declared(package: str) -> set[str]:
-    kinds = ('depend', 'exec_depend')
+def declared(package: str, *kinds: str) -> set[str]:
+    kinds = ('depend', 'exec_depend', *kinds)
     return {str(each.text) for each in manifest(package) if each.tag in kinds}
 
 
@@ -89,6 +96,14 @@ def test_bloom_finds_what_it_releases_a_package_by(package):
 def test_what_is_imported_is_declared(package):
     wanted = {KEYS.get(name, name) for name in imported(package) - set(WITHOUT_KEY)}
     assert sorted(wanted - declared(package)) == []
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_what_tests_import_is_declared(package):
+    names = imports((ROOT / 'src' / package / 'test').rglob('*.py'))
+    ros = {each for each in names if each.endswith(('_msgs', '_interfaces')) or each == 'rclpy'}
+    wanted = {KEYS[each] for each in names & set(KEYS)} | ros
+    assert sorted(wanted - declared(package, 'test_depend') - {package}) == []
 
 
 @pytest.mark.parametrize('package', PACKAGES)

@@ -76,7 +76,7 @@ def doctor(
         typer.Option(
             metavar='FILE.zip',
             callback=writable,
-            help='Write everything that somebody else needs to find a fault of the camera.',
+            help='Write a bundle for a bug report about the camera.',
         ),
     ] = None,
     keep_serials: KeepSerials = False,

@@ -220,7 +220,7 @@ ALL = 'all'
 
 @experiment()
 def all(context: Context) -> Outcome:  # noqa: A001, ARG001  (name of the command)
-    """All experiments of the paper, and those of other packages."""
+    """Run all experiments of the paper, and those of installed packages."""
     raise ExperimentError(f'{ALL!r} stands for all experiments')
 
 
