@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
+from mixtac_fger.frame_worker import FrameWorker
 from mixtac_fger.reference import REST_FRAMES, TareError, ZeroWatch
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
@@ -351,3 +354,17 @@ def test_frames_between_two_windows_give_the_same_forces_and_contacts(model, tri
         count += len(found)
     assert count == 30
     assert at_windows.status().frames == 2
+
+
+def test_a_contact_that_cannot_be_found_costs_no_frame():
+    def touch() -> None:
+        raise ValueError('no contact')
+
+    frame = SimpleNamespace(mid_us=7, touch=touch)
+    worker = FrameWorker(SimpleNamespace(encode=lambda *_: frame))
+    worker.push(np.zeros((2, 2), np.uint8), 7)
+    worker.wait()
+    assert worker.results() == [frame]
+    assert worker.alive
+    assert 'no contact' in worker.problem
+    worker.close()
