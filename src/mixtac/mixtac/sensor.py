@@ -145,6 +145,7 @@ class _Run:
     def tare(self) -> None:
         with self._lock:
             self._feed.tare()
+            self._trusted = None
             reference, name = self._feed.reference, self._settings.reference
             if name and reference is not None:
                 reference.save(state_file(name))
@@ -155,6 +156,7 @@ class _Run:
             return
         with self._lock:
             self._feed.change_camera()
+            self._trusted = None
             if self._settings.reference != reference_name(before.serial):
                 return  # one that the user has named
             name = reference_name(self._identity.serial)
