@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -99,6 +100,16 @@ class InertialSamples:
             self.acceleration[rows],
             self.angular_velocity[rows],
             self.temperature[rows],
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[InertialSamples]) -> InertialSamples:
+        """Return the samples of all parts, at least one, in the order given."""
+        return cls(
+            np.concatenate([part.t for part in parts]),
+            np.concatenate([part.acceleration for part in parts]),
+            np.concatenate([part.angular_velocity for part in parts]),
+            np.concatenate([part.temperature for part in parts]),
         )
 
 

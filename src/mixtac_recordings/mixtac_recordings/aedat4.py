@@ -202,7 +202,7 @@ def samples_packet(samples: InertialSamples) -> bytes:
         row: dict[int, tuple[str, float]] = {0: ('q', t_us)}
         row |= {1 + number: ('f', value) for number, value in enumerate(values)}
         rows.append(row)
-    return flatbuffer.tables_buffer('IMUS', rows)
+    return flatbuffer.tables_buffer('IMUS', rows, len(rows))
 
 
 def edges_packet(edges: Edges) -> bytes:
@@ -210,7 +210,7 @@ def edges_packet(edges: Edges) -> bytes:
     kinds = [_TRIGGERS[EdgeKind(int(kind))] for kind in edges.kind]
     rows = zip(edges.t.tolist(), kinds, strict=True)
     return flatbuffer.tables_buffer(
-        'TRIG', [{0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows]
+        'TRIG', ({0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows), len(kinds)
     )
 
 
@@ -248,11 +248,6 @@ class Aedat4Recording:
         except RecordingError:
             self.close()
             raise
-
-    @property
-    def packets(self) -> dict[str, int]:
-        """Number of packets by kind of data, as in `info.contents`."""
-        return {_KINDS[key]: len(each) for key, each in self._packets.items() if key in _KINDS}
 
     def close(self) -> None:
         """Close the file."""
@@ -327,6 +322,9 @@ class Aedat4Recording:
         chosen: dict[str, StreamInfo] = {}
         for identifier, name in wanted.items():
             streams = [s for s in self._file.streams if s.identifier == identifier]
+            if not name and 'EVTS' in chosen:
+                source = chosen['EVTS'].source
+                streams = [s for s in streams if s.source == source] or streams
             kind, found = _KINDS[identifier], {s.name: s for s in streams}
             if len(found) < len(streams):
                 # Of several cameras, as they usually call their streams.
@@ -335,9 +333,8 @@ class Aedat4Recording:
             if taken is not None:
                 chosen[identifier] = found[taken]
         if 'EVTS' in chosen:
-            source = chosen['EVTS'].source
             for stream in self._file.streams:
-                if (stream.identifier, stream.source) == ('TRIG', source):
+                if (stream.identifier, stream.source) == ('TRIG', chosen['EVTS'].source):
                     chosen['TRIG'] = stream
         return chosen
 

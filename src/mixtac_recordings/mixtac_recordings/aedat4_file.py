@@ -11,6 +11,7 @@ packets at the end. If it is missing or incomplete, the file is scanned up to it
 from __future__ import annotations
 
 import struct
+from array import array
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -258,7 +259,7 @@ class Aedat4Writer:
             self._file = path.open('xb')
         except OSError as error:
             raise RecordingError(f'cannot write {path}: {error.strerror}') from error
-        self._table: list[dict[int, tuple[str, float]]] = []
+        self._table = array('q')
         buffer = FlatBufferWriter('IOHE')
         root, fields = buffer.table({0: ('i', _LZ4), 1: ('q', -1), 2: ('O', 0)})
         text = _description(size, camera).encode()
@@ -280,16 +281,21 @@ class Aedat4Writer:
         number = list(STREAMS).index(stream)
         self._file.write(struct.pack('<ii', number, len(packed)))
         header = len(packed) << 32 | number
-        row = (self._file.tell(), header, count, start_us, end_us)
-        self._table.append({index: ('q', value) for index, value in enumerate(row)})
+        self._table.extend((self._file.tell(), header, count, start_us, end_us))
         self._file.write(packed)
 
     def close(self) -> None:
         """Write the table of packets and close the file."""
-        at = self._file.tell()
-        self._file.write(lz4.frame.compress(flatbuffer.tables_buffer('FTAB', self._table)))
+        at, packets = self._file.tell(), np.array(self._table).reshape(-1, 5)
+        rows = ({index: ('q', int(value)) for index, value in enumerate(each)} for each in packets)
+        table = flatbuffer.tables_buffer('FTAB', rows, len(packets))
+        self._file.write(lz4.frame.compress(table))
         self._file.seek(self._table_at)
         self._file.write(struct.pack('<q', at))
+        self._file.close()
+
+    def discard(self) -> None:
+        """Close the file as it is."""
         self._file.close()
 
 

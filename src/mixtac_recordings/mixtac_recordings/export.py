@@ -10,10 +10,10 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -23,13 +23,49 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_node.topics import REFERENCE_WRENCH
+from mixtac_node.topics import REFERENCE, REFERENCE_WRENCH
 from mixtac_recordings import aedat4
 from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.messages import left_aligned
-from mixtac_recordings.recording import AEDAT4_SUFFIX, Recording, RecordingError, RecordingInfo
+from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    ReadCounters,
+    Recording,
+    RecordingError,
+    RecordingInfo,
+    Selection,
+)
+
+
+@contextlib.contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """Yield the path of a folder to make, which is moved to its place at the end.
+
+    Nothing is left of it after an error, Ctrl-C included.
+
+    Args:
+        out: The new folder; its parents are made.
+
+    Raises:
+        RecordingError: It exists or cannot be written.
+    """
+    try:
+        if out.exists() or out.name == '..':
+            raise RecordingError(f'{out} exists', remedy='name a new folder')
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix='.unfinished-', dir=out.parent, ignore_cleanup_errors=True
+        ) as scratch:
+            # Below it: a temporary folder is closed to other users.
+            folder = Path(scratch) / out.name
+            yield folder
+            folder.rename(out)
+    except OSError as error:
+        raise RecordingError(
+            f'cannot write {out}: {error}', remedy='choose a new folder with free space'
+        ) from error
 
 
 class GrowingNpz:
@@ -87,6 +123,8 @@ class GrowingNpz:
 
 
 FORMATS = ('aedat4', 'csv', 'hdf5', 'npz')
+AEDAT4_FILE, HDF5_FILE = 'recording.aedat4', 'recording.h5'
+"""Files of the formats that are one file."""
 HDF5_SUFFIXES = frozenset({'.h5', '.hdf5'})
 
 
@@ -132,7 +170,7 @@ class Aedat4Sink:
 
     def __init__(self, folder: Path, info: RecordingInfo) -> None:
         size = (info.width, info.height)
-        self._file = Aedat4Writer(folder / 'recording.aedat4', size, info.camera or 'camera')
+        self._file = Aedat4Writer(folder / AEDAT4_FILE, size, info.camera or 'camera')
 
     def events(self, events: Events) -> None:
         """Write events."""
@@ -156,6 +194,10 @@ class Aedat4Sink:
     def close(self) -> None:
         """Finish the file."""
         self._file.close()
+
+    def discard(self) -> None:
+        """Close the file as it is."""
+        self._file.discard()
 
     def _write(self, stream: str, packet: bytes, t: NDArray[np.int64]) -> None:
         self._file.write(stream, packet, len(t), int(t[0]), int(t[-1]))
@@ -194,6 +236,9 @@ def topic_file(topic: str) -> str:
 class TableSink(ABC):
     """What receives recorded data, each kind in order of time, as tables with a row per reading."""
 
+    def __init__(self) -> None:
+        self._topics = {REFERENCE: topic_file(REFERENCE)}
+
     @abstractmethod
     def table(self, name: str, **columns: NDArray[Any]) -> None:
         """Append rows to a table; columns of several numbers are of shape (N, numbers)."""
@@ -201,6 +246,10 @@ class TableSink(ABC):
     @abstractmethod
     def close(self) -> None:
         """Finish the files."""
+
+    @abstractmethod
+    def discard(self) -> None:
+        """Close the files as they are."""
 
     def events(self, events: Events) -> None:
         """Write events."""
@@ -232,7 +281,11 @@ class TableSink(ABC):
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Write stamps [ns, clock of the topic], shape (N,), and wrenches [N, N m], (N, 6)."""
-        self.table(topic_file(topic), t=rows, force=values[:, :3], torque=values[:, 3:])
+        if topic not in self._topics:
+            taken, name = {*HEADINGS, *self._topics.values()}, topic_file(topic)
+            names = itertools.chain([name], (f'{name}_{n}' for n in itertools.count(2)))
+            self._topics[topic] = next(each for each in names if each not in taken)
+        self.table(self._topics[topic], t=rows, force=values[:, :3], torque=values[:, 3:])
 
 
 class CsvSink(TableSink):
@@ -243,6 +296,7 @@ class CsvSink(TableSink):
     """
 
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self._folder = folder
         self._files: dict[str, IO[str]] = {}
         self._frames = 0
@@ -271,6 +325,8 @@ class CsvSink(TableSink):
         for file in self._files.values():
             file.close()
 
+    discard = close
+
     def _write(self, name: str, headings: tuple[str, ...], form: str, rows: Any) -> None:  # noqa: ANN401
         if name not in self._files:
             self._files[name] = (self._folder / f'{name}.csv').open('x', encoding='utf8')
@@ -279,13 +335,14 @@ class CsvSink(TableSink):
 
 
 class NpzSink(TableSink):
-    """One .npz per kind of data, and `units.txt` with the units of the arrays.
+    """One .npz per kind of data, and `UNITS_FILE` with the units of the arrays.
 
     Args:
         folder: Folder for them.
     """
 
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self._folder = folder
         self._files: dict[str, GrowingNpz] = {}
 
@@ -301,7 +358,12 @@ class NpzSink(TableSink):
         """Finish the files."""
         for file in self._files.values():
             file.close()
-        (self._folder / 'units.txt').write_text(UNITS, encoding='utf8')
+        (self._folder / UNITS_FILE).write_text(UNITS, encoding='utf8')
+
+    def discard(self) -> None:
+        """Remove the temporary files."""
+        for file in self._files.values():
+            file.discard()
 
 
 HDF5_ROWS = 1 << 14
@@ -319,7 +381,8 @@ class Hdf5Sink(TableSink):
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file = open_hdf5(folder / 'recording.h5', 'x')
+        super().__init__()
+        self._file = open_hdf5(folder / HDF5_FILE, 'x')
         self._waiting: dict[str, list[dict[str, NDArray[Any]]]] = {}
         self._rows: dict[str, int] = {}
         self._starts: list[NDArray[np.int64]] = []
@@ -381,6 +444,10 @@ class Hdf5Sink(TableSink):
         self._file.attrs['units'] = UNITS
         self._file.close()
 
+    def discard(self) -> None:
+        """Close the file as it is."""
+        self._file.close()
+
 
 UNITS = """\
 events.npz  t [us, camera clock], x, y [px], polarity (true: brighter)
@@ -390,15 +457,17 @@ imu.npz     t [us, camera clock], acceleration [m/s^2], angular_velocity [rad/s]
 edges.npz   t [us, camera clock], kind (2 falling, 3 rising, 4 pulse, 16 and 17 generator)
 others      named after their topic: t [ns, clock of the topic], force [N], torque [N m]
 """
+UNITS_FILE = 'units.txt'
+"""What describes exported arrays, beside them."""
 PACKET_US = 10_000
-"""Length of the event packets of an AEDAT4 file, as DV writes them."""
+"""Length of the packets of an AEDAT4 file, as DV writes those of events."""
 WRENCHES = 1000
-"""Wrenches per call of a sink."""
+"""Wrenches that are read at once."""
 
 
 @dataclass
 class Counts:
-    """Numbers of exported readings.
+    """Numbers of exported or imported readings.
 
     Attributes:
         events: Events.
@@ -406,7 +475,10 @@ class Counts:
         samples: Inertial samples.
         edges: Edges.
         wrenches: Wrenches by topic.
+        size: Width and height of the camera.
         damage: What of the recording is missing; empty for a sound one.
+        lost: Events and packets that the recording lacks, or that were left out.
+        forces_replaced: Whether forces were left out for those of another file.
     """
 
     events: int = 0
@@ -414,23 +486,45 @@ class Counts:
     samples: int = 0
     edges: int = 0
     wrenches: dict[str, int] = field(default_factory=dict)
+    size: tuple[int, int] = (0, 0)
     damage: str = ''
+    lost: ReadCounters = field(default_factory=ReadCounters)
+    forces_replaced: bool = False
+
+    def warnings(self) -> list[str]:
+        """Return what is missing, a line each."""
+        found = [self.damage] if self.damage else []
+        if self.lost.packets_missing:
+            found.append(f'{self.lost.packets_missing} packets missing')
+        if self.lost.events_outside:
+            width, height = self.size
+            found.append(
+                f'{self.lost.events_outside} events outside of {width} x {height} pixels left out'
+            )
+        if self.forces_replaced:
+            found.append('the forces of the recording are left out for those of the other file')
+        return found
 
 
 def export_recording(
-    path: Path, kind: str, out: Path, progress: Callable[[float], None] = lambda _done: None
+    path: Path,
+    kind: str,
+    out: Path,
+    progress: Callable[[float], None] = lambda _done: None,
+    selection: Selection | None = None,
 ) -> Counts:
-    """Write a recording in another format, in constant memory.
+    """Write a recording in another format, in constant memory, whole or not at all.
 
     Args:
         path: Folder of a bag, or an .mcap, .db3 or .aedat4 file.
         kind: One of `FORMATS`.
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
+        selection: Which of its topics or streams; None for the only one of each kind.
 
     Raises:
-        RecordingError: The recording cannot be read, the folder exists or cannot be written, or the
-            format is unknown.
+        RecordingError: The recording cannot be read, the choice is ambiguous, the folder exists or
+            cannot be written, or the format is unknown.
     """
     if kind not in FORMATS:
         raise RecordingError(
@@ -438,18 +532,23 @@ def export_recording(
         )
     if kind == 'hdf5':
         load_h5py()
-    with contextlib.closing(open_recording(path)) as recording:
+    with (
+        contextlib.closing(open_recording(path, selection)) as recording,
+        new_folder(out) as folder,
+    ):
+        info = recording.info
+        counts = Counts(size=(info.width, info.height), damage=info.damage, lost=recording.counters)
+        folder.mkdir()
+        sink = _sink(kind, folder, recording)
         try:
-            out.mkdir(parents=True)
-            with contextlib.closing(_sink(kind, out, recording)) as sink:
-                counts = Counts(damage=recording.info.damage)
-                _export_camera(recording, sink, counts, progress)
-                if kind != 'aedat4' and path.suffix != AEDAT4_SUFFIX:
-                    _export_wrenches(path, sink, counts)
-        except OSError as error:
-            raise RecordingError(
-                f'cannot export to {out}: {error}', remedy='choose a new folder with free space'
-            ) from error
+            _export_camera(recording, sink, counts, progress)
+            if kind != 'aedat4' and path.suffix.lower() != AEDAT4_SUFFIX:
+                _export_wrenches(path, sink, counts)
+            sink.close()
+        except BaseException:
+            with contextlib.suppress(OSError):
+                sink.discard()
+            raise
     return counts
 
 
@@ -461,6 +560,39 @@ def _sink(kind: str, out: Path, recording: Recording) -> Aedat4Sink | TableSink:
     return sinks[kind](out)
 
 
+Readings = TypeVar('Readings', Events, InertialSamples)
+
+
+class _Packets(Generic[Readings]):
+    """Gathers readings and passes them on in packets of `PACKET_US`."""
+
+    def __init__(
+        self,
+        write: Callable[[Readings], None],
+        concatenate: Callable[[list[Readings]], Readings],
+    ) -> None:
+        self._write: Callable[[Readings], None] = write
+        self._concatenate: Callable[[list[Readings]], Readings] = concatenate
+        self._parts: list[Readings] = []
+
+    def add(self, readings: Readings) -> int:
+        """Add readings, and return how many they are."""
+        count = len(readings.t)
+        if not count:
+            return 0
+        # Of a clock that goes back, a packet begins anew.
+        if self._parts and not 0 <= int(readings.t[-1] - self._parts[0].t[0]) <= PACKET_US:
+            self.flush()
+        self._parts.append(readings)
+        return count
+
+    def flush(self) -> None:
+        """Pass on what is left."""
+        if self._parts:
+            self._write(self._concatenate(self._parts))
+            self._parts.clear()
+
+
 def _export_camera(
     recording: Recording,
     sink: Aedat4Sink | TableSink,
@@ -468,20 +600,14 @@ def _export_camera(
     progress: Callable[[float], None],
 ) -> None:
     info, reported = recording.info, 0.0
-    packet: list[Events] = []
+    events = _Packets(sink.events, Events.concatenate)
+    samples = _Packets(sink.samples, InertialSamples.concatenate)
     for piece in recording.pieces(0):
-        if len(piece.events):
-            if packet and int(piece.events.t[-1]) - int(packet[0].t[0]) > PACKET_US:
-                sink.events(Events.concatenate(packet))
-                packet.clear()
-            packet.append(piece.events)
-            counts.events += len(piece.events)
+        counts.events += events.add(piece.events)
+        counts.samples += samples.add(piece.imu)
         for frame in piece.frames:
             sink.frame(frame)
             counts.frames += 1
-        if len(piece.imu.t):
-            sink.samples(piece.imu)
-            counts.samples += len(piece.imu.t)
         if len(piece.edges.t):
             sink.edges(piece.edges)
             counts.edges += len(piece.edges.t)
@@ -489,19 +615,27 @@ def _export_camera(
         if done > reported + 0.005:
             reported = done
             progress(min(done, 1.0))
-    if packet:
-        sink.events(Events.concatenate(packet))
+    events.flush()
+    samples.flush()
     progress(1.0)
 
 
 def _export_wrenches(path: Path, sink: Aedat4Sink | TableSink, counts: Counts) -> None:
     with BagFile(path) as bag:
         for topic in bag.topics(REFERENCE_WRENCH.type_name):
-            messages = (message for _, _, message in bag.messages(topic))
-            while found := list(itertools.islice(messages, WRENCHES)):
-                stamps = np.array([stamp_to_ns(each.header.stamp) for each in found], np.int64)
-                sink.wrenches(topic, stamps, np.array([_six(each.wrench) for each in found]))
+            for stamps, values in bag_wrenches(bag, topic):
+                sink.wrenches(topic, stamps, values)
             counts.wrenches[topic] = bag.counts[topic]
+
+
+def bag_wrenches(
+    bag: BagFile, topic: str
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Yield stamps [ns, clock of the topic], [n], and wrenches [N, N m], [n, 6], of a topic."""
+    messages = (message for _, _, message in bag.messages(topic))
+    while found := list(itertools.islice(messages, WRENCHES)):
+        stamps = np.array([stamp_to_ns(each.header.stamp) for each in found], np.int64)
+        yield stamps, np.array([_six(each.wrench) for each in found])
 
 
 def _six(wrench: Any) -> tuple[float, ...]:  # noqa: ANN401

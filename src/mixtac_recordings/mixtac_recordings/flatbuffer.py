@@ -12,7 +12,7 @@ the objects that they refer to, so that every offset is positive.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -194,16 +194,19 @@ class FlatBufferWriter:
         return bytes(self._data)
 
 
-def tables_buffer(identifier: str, rows: Sequence[Mapping[int, tuple[str, float]]]) -> bytes:
+def tables_buffer(
+    identifier: str, rows: Iterable[Mapping[int, tuple[str, float]]], count: int
+) -> bytes:
     """Return a buffer whose root table holds one vector of tables.
 
     Args:
         identifier: Four letters that it carries.
         rows: The tables, as for `FlatBufferWriter.table`.
+        count: How many they are.
     """
     buffer = FlatBufferWriter(identifier)
     root, fields = buffer.table({0: ('O', 0)})
-    vector = buffer.vector(len(rows), bytes(4 * len(rows)))
+    vector = buffer.vector(count, bytes(4 * count))
     buffer.refer(fields[0], vector)
     for index, row in enumerate(rows, 1):
         buffer.refer(vector + 4 * index, buffer.table(row)[0])

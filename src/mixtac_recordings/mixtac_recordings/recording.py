@@ -238,7 +238,10 @@ def choose(
     """
     if wanted == NONE:
         return None
-    remedy = f'choose one of {", ".join(found)} with playback_{kind}_topic, or none'
+    remedy = (
+        f'choose one of {", ".join(found)}, or none, with --{kind} (playback_{kind}_topic of the'
+        ' driver)'
+    )
     if wanted and wanted not in found:
         raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
     if not wanted and len(found) > 1:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +14,10 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
+from mixtac_recordings.aedat4_file import MAGIC
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.camera_stream import open_recording
+from mixtac_recordings.flatbuffer import FlatBufferWriter
 from mixtac_recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
 
 EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
@@ -215,6 +218,27 @@ def scene(path, **options):
         for number in range(3):
             bag.imu(START_US + 1000 * number, (0.5, number, 9.8), (0.1, 0.2, 0.3))
     return events, frames
+
+
+def write_aedat4(path, packets):
+    """Write an AEDAT4 file without a table, of several cameras, which name their streams alike.
+
+    Args:
+        path: The file.
+        packets: (identifier, camera, buffer) of packets, each of a stream of its own.
+    """
+    attributes = 'typeIdentifier', 'originalOutputName', 'source', 'sizeX', 'sizeY'
+    nodes = ''
+    for number, (identifier, camera, _) in enumerate(packets):
+        values = zip(attributes, (identifier, identifier, camera, 346, 260), strict=True)
+        inner = ''.join(f'<attr key="{key}">{value}</attr>' for key, value in values)
+        nodes += f'<node name="{number}">{inner}</node>'
+    text = f'<dv><node name="outInfo">{nodes}</node></dv>'.encode()
+    buffer = FlatBufferWriter('IOHE')
+    root, fields = buffer.table({0: ('i', 0), 1: ('q', -1), 2: ('O', 0)})
+    buffer.refer(fields[2], buffer.vector(len(text), text + b'\0'))
+    parts = [struct.pack('<ii', n, len(each[2])) + each[2] for n, each in enumerate(packets)]
+    path.write_bytes(MAGIC + buffer.finish(root) + b''.join(parts))
 
 
 def assert_equal(found, expected):

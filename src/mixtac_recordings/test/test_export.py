@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import subprocess
@@ -15,11 +16,25 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from recording_samples import START_US as BAG_US
+from recording_samples import Bag, read, some_events
+
 from mixtac_events.arrays import Events
 from mixtac_events.readings import EdgeKind, Edges, Frame, InertialSamples
-from mixtac_recordings.aedat4 import frame_packet, samples_packet
+from mixtac_node.topics import REFERENCE_WRENCH
+from mixtac_recordings.aedat4 import events_packet, frame_packet, samples_packet
+from mixtac_recordings.aedat4_file import Aedat4File, Aedat4Writer
+from mixtac_recordings.bag import blank_message
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import Aedat4Sink, CsvSink, GrowingNpz, NpzSink, export_recording
+from mixtac_recordings.export import (
+    FORMATS,
+    PACKET_US,
+    Aedat4Sink,
+    CsvSink,
+    GrowingNpz,
+    NpzSink,
+    export_recording,
+)
 from mixtac_recordings.recording import RecordingError, RecordingInfo
 
 START_US = 1_790_000_000_000_000
@@ -171,3 +186,97 @@ def test_an_aedat4_file_can_be_exported_again(aedat4: Path, tmp_path: Path):
         export_recording(aedat4, 'npz', tmp_path / 'out')
     with pytest.raises(RecordingError):
         export_recording(aedat4, 'mat', tmp_path / 'other')
+
+
+@pytest.mark.parametrize('kind', FORMATS)
+def test_an_interrupted_export_leaves_nothing(aedat4: Path, tmp_path: Path, kind: str):
+    if kind == 'hdf5':
+        pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+
+    def interrupt(_done: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_recording(aedat4, kind, tmp_path / 'out', interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_export_that_fails_leaves_nothing(aedat4: Path, tmp_path: Path):
+    data = bytearray(aedat4.read_bytes())
+    with contextlib.closing(Aedat4File(aedat4)) as file:
+        middle = file.index()[6]
+    at = int(middle['offset']) + int(middle['size']) // 2
+    data[at : at + 8] = bytes(each ^ 255 for each in data[at : at + 8])
+    damaged = tmp_path / 'damaged.aedat4'
+    damaged.write_bytes(data)
+    with pytest.raises(RecordingError):
+        export_recording(damaged, 'npz', tmp_path / 'out')
+    assert list(tmp_path.iterdir()) == [damaged]
+
+
+def packet_spans(path: Path, stream: int) -> np.ndarray:
+    """Return first and last time [us] of the packets of a stream, by its number."""
+    with contextlib.closing(Aedat4File(path)) as file:
+        packets = file.index()
+    chosen = packets[packets['stream'] == stream]
+    return np.stack([chosen['start_us'], chosen['end_us']], 1)
+
+
+def test_packets_stay_short_where_the_clock_goes_back(tmp_path: Path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events(start_us=100_000_000), stamp_us=200_000_000)
+        bag.events(some_events(start_us=5_000_000, seed=2), stamp_us=200_100_000)
+    export_recording(tmp_path / 'bag', 'aedat4', tmp_path / 'out')
+    spans = packet_spans(tmp_path / 'out' / 'recording.aedat4', 0)
+    assert len(spans) >= 10
+    assert np.diff(spans).min() >= 0
+    assert np.diff(spans).max() <= PACKET_US
+
+
+def test_inertial_samples_share_packets(tmp_path: Path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events())
+        for number in range(50):
+            bag.imu(BAG_US + 1000 * number, (0.5, number, 9.8), (0.1, 0.2, 0.3))
+    counts = export_recording(tmp_path / 'bag', 'aedat4', tmp_path / 'out')
+    assert counts.samples == 50
+    spans = packet_spans(tmp_path / 'out' / 'recording.aedat4', 2)
+    assert len(spans) <= 6
+    found = read(tmp_path / 'out' / 'recording.aedat4').imu
+    assert [sample[0] for sample in found] == [BAG_US + 1000 * n for n in range(50)]
+
+
+def test_topics_of_like_names_have_files_of_their_own(tmp_path: Path):
+    topics = {'/a/b': 1.0, '/a_b': 2.0, '/events': 3.0, '/ft/sensor_wrench': 4.0}
+    topics |= {'/ft_sensor/wrench': 5.0}
+    kind = REFERENCE_WRENCH.type_name
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events())
+        for topic, newtons in topics.items():
+            message = blank_message(kind)
+            message.wrench.force.z = newtons
+            bag.write(topic, kind, BAG_US, message)
+    export_recording(tmp_path / 'bag', 'npz', tmp_path / 'out')
+    files = {path.stem: np.load(path) for path in (tmp_path / 'out').glob('*.npz')}
+    assert len(files.pop('events')['x']) == len(some_events())
+    assert sorted(each['force'][0, 2] for each in files.values()) == list(topics.values())
+    assert files['ft_sensor_wrench']['force'][0, 2] == 5.0
+
+
+def test_what_is_left_out_or_missing_is_counted(tmp_path: Path):
+    events = some_events()
+    path = tmp_path / 'small.aedat4'
+    with contextlib.closing(Aedat4Writer(path, (100, 100), 'camera')) as writer:
+        span = (int(events.t[0]), int(events.t[-1]))
+        writer.write('EVTS', events_packet(events), len(events), *span)
+    counts = export_recording(path, 'csv', tmp_path / 'csv')
+    outside = np.count_nonzero((events.x >= 100) | (events.y >= 100))
+    assert counts.lost.events_outside == outside
+    assert len(counts.warnings()) == 1
+    with Bag(tmp_path / 'bag') as bag:
+        bag.packet(events[:10], int(events.t[10]))
+        bag.sequence += 7
+        bag.packet(events[10:20], int(events.t[20]))
+    counts = export_recording(tmp_path / 'bag', 'csv', tmp_path / 'other')
+    assert counts.lost.packets_missing == 7
+    assert len(counts.warnings()) == 1
