@@ -228,10 +228,7 @@ class BagFile:
     def _open(self, *, whole: bool) -> None:
         """Open the bag by its index or, where that fails, its files one by one."""
         folder = self.path.is_dir()
-        suffixes = (*BAG_SUFFIXES, PACKED_SUFFIX)
-        files = [p for p in self.path.glob('*') if p.suffix in suffixes] if folder else [self.path]
-        # In the order of their numbers, which have no leading zeros.
-        files.sort(key=lambda each: (len(each.name), each.name))
+        files = _storage_files(self.path)
         cause: Exception | None = None
         if not (whole or any(map(_needs_more, files))):
             try:
@@ -250,8 +247,8 @@ class BagFile:
                 cause = error
                 notes.append(f'{path.name} cannot be read: {_text(error)}')
         read = sum(reader.message_count for reader in self._readers)
-        if not read and (cause or notes or not files):
-            why = cause or RecordingError('; '.join(notes) or 'it has no .mcap or .db3 file')
+        if not read and (cause or notes):
+            why = cause or RecordingError('; '.join(notes))
             raise self._damaged(why) from cause
         if cause and not notes:
             notes.append(f'metadata.yaml cannot be used: {_text(cause)}')
@@ -280,6 +277,18 @@ class BagFile:
             f'{self.path} is damaged or not a bag ({_text(error)})',
             remedy='copy it again, or try `mixtac repair`',
         )
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """Return the files of a bag in the order of their numbers, which have no leading zeros."""
+    found = path.glob('*') if path.is_dir() else [path]
+    files = [each for each in found if each.suffix in {*BAG_SUFFIXES, PACKED_SUFFIX}]
+    if not files:
+        raise RecordingError(
+            f'{path} is no bag: there is no .mcap or .db3 file',
+            remedy='give its folder, .mcap or .db3 file; `mixtac import` makes a bag of others',
+        )
+    return sorted(files, key=lambda each: (len(each.name), each.name))
 
 
 def _needs_more(path: Path) -> bool:

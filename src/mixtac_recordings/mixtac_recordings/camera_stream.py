@@ -287,7 +287,7 @@ def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     remedy = 'give an .aedat4, .mcap or .db3 file or the folder of a bag'
     if not path.exists():
         raise RecordingError(f'no recording at {path}', remedy=remedy)
-    if path.suffix == AEDAT4_SUFFIX:
+    if path.suffix.lower() == AEDAT4_SUFFIX:
         return Aedat4Recording(path, selection)
     if path.is_dir() or path.suffix in BAG_SUFFIXES:
         return BagRecording(path, selection)

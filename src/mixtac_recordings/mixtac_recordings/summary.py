@@ -5,20 +5,29 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import StreamDecoder
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node.topics import EVENTS
-from mixtac_recordings.aedat4 import Aedat4Recording
+from mixtac_recordings.aedat4 import read_events
+from mixtac_recordings.aedat4_file import STREAMS, Aedat4File
 from mixtac_recordings.bag import BagFile
-from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
+from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    DamagedRecordingError,
+    Piece,
+    RecordingError,
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,7 @@ def summarise(path: Path) -> BagSummary:
     Raises:
         RecordingError: It is missing, or nothing of it can be read.
     """
-    if path.suffix == AEDAT4_SUFFIX:
+    if path.suffix.lower() == AEDAT4_SUFFIX:
         return _summarise_aedat4(path)
     with BagFile(path) as bag:
         events, notes = {}, [bag.damage] if bag.damage else []
@@ -92,15 +101,39 @@ def _packets(bag: BagFile, topic: str, counter: SequenceCounter) -> Iterable[Eve
 
 
 def _summarise_aedat4(path: Path) -> BagSummary:
-    with contextlib.closing(Aedat4Recording(path)) as recording:
-        info, packets = recording.info, recording.packets
-        events = {}
-        if 'events' in packets:
-            pieces = recording.pieces(0)
-            found = _count(piece.events for piece in pieces if len(piece.events))
-            events['events'] = EventSummary(packets['events'], 0, *found)
-        types = {kind: f'AEDAT4 stream {name!r}' for kind, name in info.contents}
-        return BagSummary(info.length_us / 1e6, packets, types, events, info.damage)
+    with contextlib.closing(Aedat4File(path)) as file:
+        index = file.index()
+        streams = [s for s in file.streams if s.identifier in STREAMS]
+        kinds = Counter(s.identifier for s in streams)
+        counts, types, events = {}, {}, {}
+        for stream in streams:
+            packets = index[index['stream'] == stream.number]
+            if not len(packets):
+                continue
+            kind = STREAMS[stream.identifier]
+            name = f'{kind} {stream.number}' if kinds[stream.identifier] > 1 else kind
+            counts[name] = len(packets)
+            types[name] = f'AEDAT4 stream {stream.name!r} of {stream.source}'
+            if kind == 'events':
+                events[name] = EventSummary(len(packets), 0, *_count(_stream(file, packets)))
+        if not counts:
+            raise RecordingError(
+                f'{path} holds no events, frames or inertial samples'
+                + (f': {file.damage}' if file.damage else '')
+            )
+        length_us = int(index['end_us'].max() - index['start_us'].min())
+        return BagSummary(length_us / 1e6, counts, types, events, file.damage)
+
+
+def _stream(file: Aedat4File, packets: NDArray[Any]) -> Iterable[Events]:
+    for packet in packets:
+        data = file.packet(packet)
+        try:
+            for events in read_events(data):
+                Piece(int(events.t[0]), int(events.t[-1]), advances=True, events=events).check()
+                yield events
+        except DamagedRecordingError as error:
+            raise file.damaged(str(error)) from error
 
 
 def _count(packets: Iterable[Events]) -> tuple[int, float, int]:

@@ -122,6 +122,16 @@ def test_a_missing_bag_is_named(tmp_path: Path):
         BagFile(tmp_path / 'nowhere')
 
 
+@pytest.mark.parametrize('name', ['folder', 'table.csv', 'empty'])
+def test_what_is_no_bag_is_not_called_a_damaged_one(tmp_path: Path, name: str):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'table.csv').write_text('1,2\n')
+    (tmp_path / 'empty').touch()
+    with pytest.raises(RecordingError) as caught:
+        summarise(tmp_path / name)
+    assert not isinstance(caught.value, DamagedRecordingError)
+
+
 @pytest.mark.parametrize('kept', [0.0, 0.05])
 def test_a_bag_without_one_whole_record_is_refused_in_one_line(bag: Path, kept: float):
     cut(bag, kept)
