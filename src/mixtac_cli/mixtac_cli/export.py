@@ -19,27 +19,39 @@ from mixtac_cli.figures import make_table
 from mixtac_cli.options import OptionalPath, Split
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag_writer import repair as repair_bag
-from mixtac_recordings.dataset import add_recording
-from mixtac_recordings.export import export_recording
+from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
+from mixtac_recordings.export import Counts, export_recording
 from mixtac_recordings.importing import TableOptions, import_recording
-from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
+from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError, Selection
 from mixtac_recordings.summary import summarise
 
-TABLES = TableOptions()
-"""Defaults of `mixtac import`."""
+EventsOf = Annotated[
+    str, typer.Option('--events', help='Topic or stream of events, of several; none for none.')
+]
+ImageOf = Annotated[str, typer.Option('--image', help='Topic or stream of frames, likewise.')]
+ImuOf = Annotated[str, typer.Option('--imu', help='Topic or stream of inertial samples, likewise.')]
 
 
 def export(
     recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
     to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
+    events: EventsOf = '',
+    image: ImageOf = '',
+    imu: ImuOf = '',
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
     console = Console()
     columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bars:
         bar = bars.add_task(str(recording), total=1.0)
-        counts = export_recording(recording, to, out, lambda done: bars.update(bar, completed=done))
+        counts = export_recording(
+            recording,
+            to,
+            out,
+            lambda done: bars.update(bar, completed=done),
+            Selection(events, image, imu),
+        )
     console.print(
         f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
         f'samples, {counts.edges} edges'
@@ -48,8 +60,12 @@ def export(
         console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
-    if counts.damage:
-        console.print(f'warning: {counts.damage}', style='yellow', markup=False)
+    _warn(console, counts)
+
+
+def _warn(console: Console, counts: Counts) -> None:
+    for each in counts.warnings():
+        console.print(f'warning: {each}', style='yellow', markup=False)
 
 
 def import_(
@@ -69,11 +85,16 @@ def import_(
         typer.Option('--same-clock', help='The forces are stamped on the clock of the camera.'),
     ] = False,
     time_unit: Annotated[
-        str, typer.Option(help='Unit of camera times where the file gives none: ns, us, ms or s.')
-    ] = TABLES.time_unit,
+        str,
+        typer.Option(
+            help='Unit of camera times where no heading gives it: ns, us, ms or s; empty: us, of'
+            ' whole numbers.'
+        ),
+    ] = '',
     force_unit: Annotated[
-        str, typer.Option(help='Unit of the times of forces where the file gives none.')
-    ] = TABLES.force_unit,
+        str,
+        typer.Option(help='Unit of the times of forces where no heading gives it; empty: s.'),
+    ] = '',
     size: Annotated[
         str, typer.Option(help='Size of the camera, for example 346x260; empty: by its frames.')
     ] = '',
@@ -81,30 +102,39 @@ def import_(
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
     ] = '',
     split: Split = '',
+    events: EventsOf = '',
+    image: ImageOf = '',
+    imu: ImuOf = '',
 ) -> None:
     """Make a bag of events, frames and forces in other files: csv, NPZ, HDF5, AEDAT4."""
     options = TableOptions(time_unit, force_unit, _size(size))
+    if profile or split:
+        read_recordings(out.absolute().parent / FILE_NAME)
     console = Console()
     with console.status(f'reading {source}'):
         counts = import_recording(
-            source, out, forces=forces, same_clock=same_clock, options=options
+            source,
+            out,
+            forces=forces,
+            same_clock=same_clock,
+            options=options,
+            selection=Selection(events, image, imu),
         )
     wrenches = counts.wrenches.get(REFERENCE, 0)
     figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
+    if same_clock and wrenches:
+        console.print(f'clock fit: {write_fit(_one_clock(), out)}')
+    elif wrenches:
+        console.print(f'the forces are on a clock of their own: next, mixtac align {out}')
     if profile or split:
         path = add_recording(
             out, {**figures, 'imported_from': source.name}, profile=profile, split=split
         )
         console.print(f'described in {path}')
-    if same_clock and wrenches:
-        console.print(f'clock fit: {write_fit(_one_clock(), out)}')
-    elif wrenches:
-        console.print(f'the forces are on a clock of their own: next, mixtac align {out}')
     if not counts.frames:
         console.print('warning: no frames: the force cannot be estimated', style='yellow')
-    if counts.damage:
-        console.print(f'warning: {counts.damage}', style='yellow', markup=False)
+    _warn(console, counts)
 
 
 def _size(text: str) -> tuple[int, int] | None:
@@ -151,15 +181,14 @@ def repair(
     Bags become MCAP with an index, checksums and metadata.yaml; AEDAT4 files stay AEDAT4.
     """
     console = Console()
-    if recording.suffix == AEDAT4_SUFFIX:
+    if recording.suffix.lower() == AEDAT4_SUFFIX:
         counts = export_recording(recording, 'aedat4', out)
-        damage = counts.damage
         console.print(f'{out}: {counts.events} events, {counts.frames} frames')
-    else:
-        repaired = repair_bag(recording, out)
-        damage = repaired.damage
-        console.print(f'{out}: {sum(repaired.counts.values())} messages')
-        for topic, count in sorted(repaired.counts.items()):
-            console.print(f'{topic}: {count} messages')
-    if damage:
-        console.print(f'warning: {damage}', style='yellow', markup=False)
+        _warn(console, counts)
+        return
+    repaired = repair_bag(recording, out)
+    console.print(f'{out}: {sum(repaired.counts.values())} messages')
+    for topic, count in sorted(repaired.counts.items()):
+        console.print(f'{topic}: {count} messages')
+    if repaired.damage:
+        console.print(f'warning: {repaired.damage}', style='yellow', markup=False)

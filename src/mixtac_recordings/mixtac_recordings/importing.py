@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,11 +21,25 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
-from mixtac_recordings.bag import find_bags
+from mixtac_recordings.bag import BagFile, find_bags
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import PACKET_US, Counts, topic_file
-from mixtac_recordings.recording import Piece, RecordingError
+from mixtac_recordings.export import (
+    AEDAT4_FILE,
+    HDF5_FILE,
+    PACKET_US,
+    Counts,
+    bag_wrenches,
+    new_folder,
+    topic_file,
+)
+from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    Piece,
+    ReadCounters,
+    RecordingError,
+    Selection,
+)
 from mixtac_recordings.stream_writer import StreamWriter
 from mixtac_recordings.tables import AXES, UNITS, Rows, Tables, open_tables
 
@@ -39,13 +51,14 @@ class TableOptions:
     """How to read tables that do not say it themselves.
 
     Attributes:
-        time_unit: Unit of the times of camera data, one of `UNITS`.
-        force_unit: Unit of the times of forces, one of `UNITS`.
+        time_unit: Unit of the times of camera data, one of `UNITS`; empty for that which the file
+            gives, else `us`.
+        force_unit: Unit of the times of forces, likewise, else `s`.
         size: Width and height of the camera; None for that of its frames, else 346 x 260.
     """
 
-    time_unit: str = 'us'
-    force_unit: str = 's'
+    time_unit: str = ''
+    force_unit: str = ''
     size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
@@ -55,7 +68,7 @@ class TableOptions:
             RecordingError: One is unknown.
         """
         for unit in (self.time_unit, self.force_unit):
-            if unit not in UNITS:
+            if unit and unit not in UNITS:
                 raise RecordingError(
                     f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(UNITS)}'
                 )
@@ -68,44 +81,35 @@ def import_recording(
     forces: Path | None = None,
     same_clock: bool = False,
     options: TableOptions | None = None,
+    selection: Selection | None = None,
 ) -> Counts:
     """Write camera data and forces of other files as a bag, whole or not at all.
 
     Args:
         path: An .aedat4, .csv, .npz or .h5 file, a bag, or a folder of tables.
         out: Folder of the new bag.
-        forces: Table of the reference force, csv or NPZ; None for that beside the tables, if any.
+        forces: Table of the reference force, csv or NPZ; None for that of the bag or beside the
+            tables, if any.
         same_clock: Forces are on the camera's clock.
         options: How to read tables.
+        selection: Which topics or streams of a bag or an AEDAT4 file; None for the only one of each
+            kind.
 
     Returns:
         What was written.
 
     Raises:
-        RecordingError: A file cannot be read, times go backwards, or the bag cannot be written.
+        RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, or the
+            bag cannot be written.
     """
     options = options or TableOptions()
-    if out.exists():
-        raise RecordingError(f'{out} exists', remedy='name a new folder')
-    with _open_camera(path, options) as camera:
+    with _open_camera(path, options, selection) as camera:
         wrenches = _wrenches(forces, options) if forces else camera.wrenches
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix='.import-', dir=out.parent))
-        except OSError as error:
-            raise RecordingError(f'cannot write {out}: {error}') from error
-        try:
-            with McapBag(scratch / out.name) as bag:
-                writer = StreamWriter(bag, camera.size, color_filter=camera.color_filter)
-                counts = _write(camera, wrenches, writer, same_clock=same_clock)
-                counts.damage = camera.damage
-            (scratch / out.name).rename(out)
-        except OSError as error:
-            raise RecordingError(
-                f'cannot write {out}: {error}', remedy='choose another folder with free space'
-            ) from error
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+        with new_folder(out) as folder, McapBag(folder) as bag:
+            writer = StreamWriter(bag, camera.size, color_filter=camera.color_filter)
+            counts = _write(camera, wrenches or iter(()), writer, same_clock=same_clock)
+    counts.size, counts.damage, counts.lost = camera.size, camera.damage, camera.lost
+    counts.forces_replaced = forces is not None and camera.wrenches is not None
     return counts
 
 
@@ -119,23 +123,52 @@ class _Camera:
 
     pieces: Iterator[Piece]
     size: tuple[int, int]
-    wrenches: Wrenches = field(default_factory=lambda: iter(()))
+    wrenches: Wrenches | None = None
     color_filter: int = 0
     damage: str = ''
+    lost: ReadCounters = field(default_factory=ReadCounters)
+
+
+_WHOLE: Final = ([AEDAT4_FILE], [HDF5_FILE])
+"""Contents of a folder that `mixtac export` wrote as one file."""
 
 
 @contextlib.contextmanager
-def _open_camera(path: Path, options: TableOptions) -> Iterator[_Camera]:
+def _open_camera(
+    path: Path, options: TableOptions, selection: Selection | None
+) -> Iterator[_Camera]:
     path = path.expanduser()
-    tables = None if path.is_dir() and find_bags(path, 0) else open_tables(path)
+    if path.is_dir() and (names := [each.name for each in path.iterdir()]) in _WHOLE:
+        path /= names[0]
+    bag = path.is_dir() and find_bags(path, 0)
+    tables = None if bag else open_tables(path)
+    if tables is None and path.is_dir() and not bag:
+        raise RecordingError(
+            f'{path} holds neither tables nor a bag',
+            remedy='give an .aedat4, .csv, .npz or .h5 file, or the folder of an export or a bag',
+        )
     if tables is None:
-        with contextlib.closing(open_recording(path)) as recording:
-            info = recording.info
-            size = (info.width, info.height)
+        with contextlib.ExitStack() as stack:
+            recording = stack.enter_context(contextlib.closing(open_recording(path, selection)))
+            info, wrenches = recording.info, None
+            if path.suffix.lower() != AEDAT4_SUFFIX:
+                file = stack.enter_context(BagFile(path))
+                if REFERENCE in file.topics(REFERENCE_WRENCH.type_name):
+                    wrenches = bag_wrenches(file, REFERENCE)
             yield _Camera(
-                recording.pieces(0), size, color_filter=info.color_filter, damage=info.damage
+                pieces=recording.pieces(0),
+                size=(info.width, info.height),
+                wrenches=wrenches,
+                color_filter=info.color_filter,
+                damage=info.damage,
+                lost=recording.counters,
             )
         return
+    if selection not in {None, Selection()}:
+        raise RecordingError(
+            f'{path} holds tables, of which there is nothing to choose',
+            remedy='leave out --events, --image and --imu',
+        )
     with contextlib.closing(tables):
         if not tables.names & {'events', 'frames'}:
             raise RecordingError(
@@ -143,7 +176,7 @@ def _open_camera(path: Path, options: TableOptions) -> Iterator[_Camera]:
                 remedy='name the tables events and frames, as `mixtac export` does',
             )
         unit = options.time_unit
-        size = options.size or _frame_size(tables) or DAVIS346
+        size = options.size or _frame_size(tables, unit) or DAVIS346
         parts = [
             _cut(tables.rows(name, unit), 't', make)
             for name, make in (('imu', _samples), ('edges', _edges))
@@ -154,8 +187,7 @@ def _open_camera(path: Path, options: TableOptions) -> Iterator[_Camera]:
         if 'frames' in tables.names:
             parts.append(_cut(tables.rows('frames', unit), 'exposure_end', _frames, one=True))
         name = topic_file(REFERENCE)
-        found = name in tables.names
-        wrenches = _force_rows(tables, name, options) if found else iter(())
+        wrenches = _force_rows(tables, name, options) if name in tables.names else None
         yield _Camera(heapq.merge(*parts, key=lambda piece: piece.until_us), size, wrenches)
 
 
@@ -279,27 +311,34 @@ def _edges(rows: Rows) -> dict[str, Any]:
 def _frames(rows: Rows) -> dict[str, Any]:
     start, end = int(rows['exposure_start'][0]), int(rows['exposure_end'][0])
     x, y = (int(value) for value in rows['origin'][0])
-    image = np.ascontiguousarray(rows['image'][0], np.uint16)
+    image = np.ascontiguousarray(rows['image'][0])
     return {'frames': (Frame(image, x, y, start, start, end, end, end - start, True),)}
 
 
-def _frame_size(tables: Tables) -> tuple[int, int] | None:
+def _frame_size(tables: Tables, unit: str) -> tuple[int, int] | None:
     """Return width and height of the first frame, None without frames."""
     if 'frames' not in tables.names:
         return None
-    image = next(tables.rows('frames', 'us'))['image']
-    return int(image.shape[2]), int(image.shape[1])
+    first = next(tables.rows('frames', unit), None)
+    return None if first is None else (int(first['image'].shape[2]), int(first['image'].shape[1]))
 
 
 def _wrenches(path: Path, options: TableOptions) -> Wrenches:
-    tables = open_tables(path.expanduser(), 'forces')
+    path, remedy = path.expanduser(), 'give a .csv or .npz file'
+    if not path.exists():
+        raise RecordingError(f'no table of forces at {path}', remedy=remedy)
+    tables = open_tables(path, 'forces')
     if tables is None or len(tables.names) != 1:
-        raise RecordingError(f'{path} is no table of forces', remedy='give a .csv or .npz file')
-    return _force_rows(tables, next(iter(tables.names)), options)
+        raise RecordingError(f'{path} is no table of forces', remedy=remedy)
+    rows = _force_rows(tables, next(iter(tables.names)), options)
+    first = next(rows, None)
+    if first is None:
+        raise RecordingError(f'{path} holds no forces', remedy='give a table with rows')
+    return itertools.chain([first], rows)
 
 
 def _force_rows(tables: Tables, name: str, options: TableOptions) -> Wrenches:
-    for rows in tables.rows(name, options.force_unit, wanted_ns=1):
+    for rows in tables.rows(name, options.force_unit, 's', wanted_ns=1):
         count = len(rows['t'])
         values = np.hstack([_vector(rows, kind, count) for kind in ('force', 'torque')])
         if not np.isfinite(values[:, 2]).all():

@@ -9,21 +9,24 @@ usual names of columns are understood (`COLUMNS`), and HDF5 files in the layout 
 
 from __future__ import annotations
 
-import contextlib
+import codecs
 import csv
 import itertools
+import math
 import re
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import cv2
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from mixtac_recordings.export import HDF5_SUFFIXES, open_hdf5
+from mixtac_recordings.export import HDF5_SUFFIXES, UNITS_FILE, open_hdf5
 from mixtac_recordings.messages import BIT_SHIFT
 from mixtac_recordings.recording import RecordingError
 
@@ -54,15 +57,16 @@ UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
 """Units of time [ns]."""
 OTHER_UNITS: Final = {
     'force': ('N',),
-    'torque': ('N', 'Nm'),
-    'acceleration': ('m',),
-    'angular_velocity': ('rad',),
+    'torque': ('Nm', 'N m'),
+    'acceleration': ('m/s^2',),
+    'angular_velocity': ('rad/s',),
 }
-"""Units that a heading may name for other columns, by their first word."""
+"""Units of other columns; headings are compared with their first words."""
 NAMELESS: Final = ('f', 'force')
 """Headings that mean the normal force where no other does."""
 ROWS: Final = 100_000
 """Rows that are read at once."""
+_MOST_GREY = 1023
 _SUFFIX = re.compile(r'(.+)_(ns|us|ms|s)')
 _HEADING = re.compile(r'\s*"?([^"\[(]*?)\s*(?:[\[(]\s*(\w+)[^\])]*[\])])?"?\s*')
 Rows = dict[str, NDArray[Any]]
@@ -74,68 +78,116 @@ class Tables:
     Attributes:
         path: As given.
         names: Names of the tables.
+        exported: Whether they are arrays in the units of `mixtac_recordings.export`.
+        headings: Headings of a table as they are in the file, by its name; arrays have none.
     """
 
-    def __init__(self, path: Path, names: set[str]) -> None:
-        self.path, self.names = path, names
+    def __init__(self, path: Path, names: set[str], *, exported: bool = False) -> None:
+        self.path, self.names, self.exported = path, names, exported
+        self.headings: dict[str, list[str]] = {}
 
     def close(self) -> None:
         """Close the files."""
 
-    def rows(self, name: str, unit: str, wanted_ns: int = 1000) -> Iterator[Rows]:
-        """Yield the columns of a table, some rows at a time.
+    def rows(
+        self, name: str, unit: str, default: str = 'us', wanted_ns: int = 1000
+    ) -> Iterator[Rows]:
+        """Yield the columns of a table, some rows at a time; frames are of 10 bits.
 
         Args:
             name: The table.
-            unit: Unit of its times where it does not say so.
+            unit: Unit of its times where no heading says it; empty for that of exported tables,
+                or `default`.
+            default: Unit where nothing else says it; times must be whole numbers then, unless it is
+                longer than the wanted one.
             wanted_ns: Unit of the times that are returned [ns].
 
         Raises:
-            RecordingError: It cannot be read, or columns are missing.
+            RecordingError: It cannot be read, columns or numbers are missing, or the times have
+                another unit.
         """
+        needed = {
+            'events': ('t', 'x', 'y', 'polarity'),
+            'frames': ('exposure_start', 'exposure_end', 'image'),
+            'edges': ('t', 'kind'),
+        }.get(name, ('t',))
         for rows, units in self._rows(name):
             if name == 'frames' and 'exposure_start' not in rows and 't' in rows:
                 rows['exposure_start'] = rows['exposure_end'] = rows['t']
-            needed = {
-                'events': ('t', 'x', 'y', 'polarity'),
-                'frames': ('exposure_start', 'exposure_end', 'image'),
-            }.get(name, ('t',))
             if missing := [each for each in needed if each not in rows]:
+                there = ', '.join(self.headings.get(name, rows)) or 'nothing that is known'
                 raise RecordingError(
-                    f'{self.path}: {name} has no column {missing[0]}, only {", ".join(rows)}',
+                    f'{self.path}: {name} has no column {missing[0]}, only {there}',
                     remedy=f'name the columns {", ".join(needed)}',
                 )
-            for key in TIMES:
-                if key in rows:
-                    scale = UNITS[units.get(key, unit)]
-                    if not _fits(rows[key], scale):
-                        raise RecordingError(
-                            f'{self.path}: {name} has times of {rows[key].min()} to '
-                            f'{rows[key].max()} {units.get(key, unit)}',
-                            remedy='give the unit of the times',
-                        )
-                    rows[key] = _scaled(rows[key], scale, wanted_ns)
-            if name == 'frames' and 'origin' not in rows:
-                rows['origin'] = np.zeros((len(rows['image']), 2), np.int64)
+            for key in needed:
+                self._check_numbers(name, key, rows[key])
+            for key in set(TIMES).intersection(rows):
+                given = units.get(key) or unit
+                if not given and self.exported and rows[key].dtype.kind in 'iu':
+                    given = 'ns' if 'force' in rows else 'us'
+                rows[key] = self._scaled(name, rows[key], given, default, wanted_ns)
+            if name == 'frames':
+                rows['image'] = self._ten_bits(rows['image'])
+                rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
             if len(rows[needed[0]]):
                 yield rows
 
+    def _check_numbers(self, name: str, key: str, column: NDArray[Any]) -> None:
+        dimensions = 3 if key == 'image' else 1
+        if column.ndim != dimensions or column.dtype.kind not in 'biuf':
+            raise RecordingError(
+                f'{self.path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
+                remedy=f'store numbers in {dimensions} dimensions',
+            )
+        if column.dtype.kind == 'f' and not (finite := np.isfinite(column)).all():
+            raise RecordingError(
+                f'{self.path}: {name} has {key} = {column[~finite].flat[0]}: a missing value',
+                remedy='remove the rows without a number',
+            )
+
+    def _scaled(
+        self, name: str, t: NDArray[Any], given: str, default: str, wanted_ns: int
+    ) -> NDArray[np.int64]:
+        """Return times in the wanted unit."""
+        unit_ns = UNITS[given or default]
+        if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
+            raise RecordingError(
+                f'{self.path}: {name} has times of {t.min()} to {t.max()} {given or default},'
+                ' which no stamp of ROS holds',
+                remedy='give the unit of the times',
+            )
+        if t.dtype.kind == 'f':
+            if not given and unit_ns <= wanted_ns and (fractions := t % 1 != 0).any():
+                raise RecordingError(
+                    f'{self.path}: times of {name} have fractions ({t[fractions][0]}), and nothing'
+                    ' gives their unit',
+                    remedy='give --time-unit s',
+                )
+            return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
+        if unit_ns >= wanted_ns:
+            return t.astype(np.int64) * (unit_ns // wanted_ns)
+        return t.astype(np.int64) // (wanted_ns // unit_ns)
+
+    def _ten_bits(self, image: NDArray[Any]) -> NDArray[np.uint16]:
+        """Return grey values of 0 .. 1023; 8 bits become the upper ones."""
+        if image.dtype == np.uint8:
+            return image.astype(np.uint16) << np.uint16(2)
+        if image.dtype.kind not in 'iu':
+            raise RecordingError(
+                f'{self.path}: frames are of type {image.dtype}',
+                remedy='store them as uint8, or as uint16 of 0 .. 1023',
+            )
+        least, most = int(image.min(initial=0)), int(image.max(initial=0))
+        if least < 0 or most > _MOST_GREY:
+            raise RecordingError(
+                f'{self.path}: frames have values of {least} to {most}',
+                remedy=f'scale them to 0 .. {_MOST_GREY}',
+            )
+        return image.astype(np.uint16)
+
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         raise NotImplementedError
-
-
-def _fits(t: NDArray[Any], unit_ns: int) -> bool:
-    """Return whether all times are numbers that a stamp of ROS can hold."""
-    largest = 2.0**31 * 1e9 / unit_ns
-    return bool(np.isfinite(t).all() and np.abs(t.astype(np.float64)).max(initial=0) < largest)
-
-
-def _scaled(t: NDArray[Any], unit_ns: int, wanted_ns: int) -> NDArray[np.int64]:
-    if t.dtype.kind == 'f':
-        return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
-    if unit_ns >= wanted_ns:
-        return t.astype(np.int64) * (unit_ns // wanted_ns)
-    return t.astype(np.int64) // (wanted_ns // unit_ns)
 
 
 def open_tables(path: Path, name: str = 'events') -> Tables | None:
@@ -145,20 +197,20 @@ def open_tables(path: Path, name: str = 'events') -> Tables | None:
         path: File or folder.
         name: Name of the table in a csv or NPZ file.
     """
-    if path.is_file() and path.suffix in HDF5_SUFFIXES:
+    if path.is_file() and path.suffix.lower() in HDF5_SUFFIXES:
         return _Hdf5Tables(path)
     for suffixes, cls in ((('.csv', '.txt'), _CsvTables), (('.npz',), _NpzTables)):
         if path.is_dir():
             files = {each.stem: each for each in path.glob(f'*{suffixes[0]}')}
         else:
-            files = {name: path} if path.is_file() and path.suffix in suffixes else {}
+            files = {name: path} if path.is_file() and path.suffix.lower() in suffixes else {}
         if files:
             return cls(path, files)
     return None
 
 
 class _CsvTables(Tables):
-    """CSV files, with headings or in the order t, x, y, p and t, fz."""
+    """CSV files, with headings or in the order t, x, y, p; t, fz; or t, forces, torques."""
 
     def __init__(self, path: Path, files: dict[str, Path]) -> None:
         super().__init__(path, set(files))
@@ -166,43 +218,71 @@ class _CsvTables(Tables):
 
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         path = self._files[name]
-        with path.open(encoding='utf8', errors='replace') as file:
-            first = next((line for line in file if line.strip(' \ufeff#\r\n')), '').lstrip(
-                '\ufeff#'
-            )
-            if not first:
-                raise RecordingError(f'{path} is empty')
-            names, units = _headings(path, first)
-            lines: Iterator[str] = file
-            if names is None:
-                names, lines = _unnamed(first), itertools.chain([first], file)
-            if 'file' in names:
-                yield from _picture_rows(path, names, units, lines)
-                return
-            while part := list(itertools.islice(lines, ROWS)):
-                yield _parsed(path, names, part), units
+        with path.open('rb') as file:
+            wide = file.read(2) in {codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE}
+        encoding = 'utf-16' if wide else 'utf-8-sig'
+        try:
+            with path.open(encoding=encoding, errors='replace') as file:
+                lines: Iterator[str] = filter(str.strip, file)
+                first = next((line for line in lines if line.strip(' #\r\n')), '').lstrip('#')
+                if not first:
+                    raise RecordingError(f'{path} is empty')
+                separator = _separator(first)
+                cells = _cells(first, separator)
+                if _is_number(cells[0]):
+                    names, units = _unnamed(path, cells), dict[str, str]()
+                    lines = itertools.chain([first], lines)
+                else:
+                    names, units = _headings(path, cells)
+                    self.headings[name] = cells
+                if 'file' in names:
+                    yield from _picture_rows(path, names, units, lines, separator)
+                    return
+                while part := list(itertools.islice(lines, ROWS)):
+                    yield _parsed(path, names, part, separator), units
+        except (csv.Error, UnicodeError) as error:
+            raise RecordingError(f'{path} is no table: {error}') from error
 
 
-def _delimiter(line: str) -> str:
-    return next((each for each in ',;\t' if each in re.sub(r'"[^"]*"', '', line)), ',')
+_SEPARATORS: Final = ';,\t'
+_ASIDE = re.compile(r'"[^"]*"|\[[^\]]*\]|\([^)]*\)')
+"""Parts of a heading that may hold other separators: units, and what is quoted."""
 
 
-def _headings(path: Path, line: str) -> tuple[list[str] | None, dict[str, str]]:
-    """Return names and units of columns, None for a row of numbers.
+def _separator(line: str) -> str:
+    """Return what separates the columns of a table by its first line; a space for white space."""
+    bare = _ASIDE.sub('', line)
+    return next((each for each in _SEPARATORS if each in bare), ' ')
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of a line."""
+    if separator == ' ':
+        return line.split()
+    # Units may hold commas, but are quoted then.
+    (cells,) = csv.reader([line.strip('\r\n')], delimiter=separator, skipinitialspace=True)
+    return cells
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(',', '.'))
+    except ValueError:
+        return False
+    return True
+
+
+def _headings(path: Path, cells: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Return names and units of columns.
 
     Raises:
         RecordingError: Two columns have one meaning, or the unit of one is not known.
     """
-    # Units may hold commas, but are quoted then; an index without a heading is a column, too.
-    (parts,) = csv.reader([line.strip('\r\n')], delimiter=_delimiter(line), skipinitialspace=True)
-    with contextlib.suppress(ValueError):
-        float(parts[0])
-        return None, {}
     names: list[str] = []
     units: dict[str, str] = {}
-    for part in parts:
-        match = _HEADING.fullmatch(part)
-        name = (match[1] if match else part).strip().lower().replace(' ', '_')
+    for cell in cells:
+        match = _HEADING.fullmatch(cell)
+        name = (match[1] if match else cell).strip().lower().replace(' ', '_')
         unit = match[2] if match else None
         if unit is None and (suffix := _SUFFIX.fullmatch(name)):
             name, unit = suffix[1], suffix[2]
@@ -224,21 +304,33 @@ def _headings(path: Path, line: str) -> tuple[list[str] | None, dict[str, str]]:
 def _check_unit(path: Path, name: str, meaning: str, unit: str | None) -> None:
     vector = OTHER_UNITS.get(re.sub('_[xyz]$', '', meaning))
     known = tuple(UNITS) if meaning in TIMES else vector
-    if unit and known and unit not in known:
+    if unit and known and unit not in [re.split(r'\W', each)[0] for each in known]:
         raise RecordingError(
             f'{path}: the unit of {name} is {unit}, not {" or ".join(known)}',
-            remedy='convert the column, or leave the unit out',
+            remedy=f'convert the column to {known[-1]}',
         )
 
 
-def _unnamed(line: str) -> list[str]:
-    count = len(re.split(r'[,;\t]', line))
-    return ['t', 'x', 'y', 'polarity'] if count == 4 else ['t', 'force_z']
+def _unnamed(path: Path, cells: list[str]) -> list[str]:
+    """Return the names of columns without headings, by their number."""
+    vectors = [f'{name}_{axis}' for name in ('force', 'torque') for axis in AXES]
+    layouts = (['t', 'force_z'], ['t', 'x', 'y', 'polarity'], ['t', *vectors])
+    for names in layouts:
+        if len(names) == len(cells):
+            return names
+    raise RecordingError(
+        f'{path} has {len(cells)} columns and no headings', remedy='add a line of headings'
+    )
 
 
-def _parsed(path: Path, names: list[str], lines: list[str]) -> Rows:
-    delimiter = _delimiter(lines[0])
+def _parsed(path: Path, names: list[str], lines: list[str], separator: str) -> Rows:
     wanted = {name: index for index, name in enumerate(names) if name in KNOWN}
+    if not wanted:
+        return {}
+    if separator == ';':
+        # Commas are decimal points.
+        lines = [line.replace(',', '.') for line in lines]
+    delimiter = None if separator == ' ' else separator
     # Times of more digits than a float64 holds stay integers.
     whole = {name for name, index in wanted.items() if _whole(lines, delimiter, index)}
     try:
@@ -256,7 +348,7 @@ def _parsed(path: Path, names: list[str], lines: list[str]) -> Rows:
 
 
 def _loaded(
-    lines: list[str], delimiter: str, wanted: dict[str, int], whole: set[str]
+    lines: list[str], delimiter: str | None, wanted: dict[str, int], whole: set[str]
 ) -> NDArray[Any]:
     """Return columns by name, some of them as integers."""
     layout = np.dtype([(name, np.int64 if name in whole else np.float64) for name in wanted])
@@ -267,74 +359,107 @@ def _loaded(
         return np.loadtxt(lines, layout, delimiter=delimiter, usecols=columns, ndmin=1)
 
 
-def _whole(lines: list[str], delimiter: str, index: int) -> bool:
+def _whole(lines: list[str], delimiter: str | None, index: int) -> bool:
     """Return whether the first and the last number of a column are integers."""
     cells = (line.split(delimiter)[index : index + 1] for line in (lines[0], lines[-1]))
     return all(cell and cell[0].strip().lstrip('+-').isdecimal() for cell in cells)
 
 
 def _picture_rows(
-    path: Path, names: list[str], units: dict[str, str], lines: Iterator[str]
+    path: Path, names: list[str], units: dict[str, str], lines: Iterator[str], separator: str
 ) -> Iterator[tuple[Rows, dict[str, str]]]:
     """Yield one frame at a time: pictures named in a table, 8 bits or 16 left-aligned."""
     where = names.index('file')
+    rest = [name for name in names if name != 'file']
     for line in lines:
-        cells = line.strip().split(',')
+        cells = _cells(line, separator)
         if len(cells) < len(names):
-            continue
-        picture = path.parent / cells[where].strip('"')
+            raise RecordingError(
+                f'{path}: {line.strip()!r} has {len(cells)} of {len(names)} columns',
+                remedy='complete or remove the row',
+            )
+        picture = path.parent / cells.pop(where)
         image: Any = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
         if image is None:
             raise RecordingError(f'{picture} of {path} cannot be read', remedy='check the paths')
-        ten = image >> BIT_SHIFT if image.dtype == np.uint16 else image.astype(np.uint16) << 2
-        rest = [name for name in names if name != 'file']
-        values = [cell for index, cell in enumerate(cells) if index != where]
-        rows = _parsed(path, rest, [','.join(values)])
+        rows = _parsed(path, rest, [separator.join(cells)], separator)
         if 'x' in rows:
             rows['origin'] = np.stack([rows.pop('x'), rows.pop('y')], axis=1).astype(np.int64)
-        yield {**rows, 'image': ten[None]}, units
+        yield (
+            {**rows, 'image': (image >> BIT_SHIFT if image.dtype == np.uint16 else image)[None]},
+            units,
+        )
 
 
 class _NpzTables(Tables):
-    """NPZ files, one per table."""
+    """NPZ files, one per table, and what describes exported ones."""
 
     def __init__(self, path: Path, files: dict[str, Path]) -> None:
-        super().__init__(path, set(files))
+        folder = path if path.is_dir() else path.parent
+        super().__init__(path, set(files), exported=(folder / UNITS_FILE).exists())
         self._files = files
 
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         path = self._files[name]
         try:
-            with np.load(path, allow_pickle=False) as file:
-                columns = {key: file[key] for key in file.files}
-        # A .npy file is an array, no context manager: AttributeError before Python 3.11.
-        except (AttributeError, OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+            with zipfile.ZipFile(path) as archive:
+                members = [each for each in archive.namelist() if each.endswith('.npy')]
+                columns = {each[:-4]: _npz_column(archive, each) for each in members}
+                for rows in _sliced(columns, name):
+                    yield rows, {}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise RecordingError(f'{path} is no NPZ file of arrays: {error}') from error
-        yield from _sliced(columns, name)
 
 
-def _sliced(columns: Any, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:  # noqa: ANN401
-    """Yield columns of equal length, arrays or data sets, some rows at a time.
+def _npz_column(archive: zipfile.ZipFile, name: str) -> Any:  # noqa: ANN401
+    """Return an array of an NPZ file; one whose rows are stored one after another is not loaded."""
+    column = _StoredRows(archive.open(name))
+    if not column.fortran_order:
+        return column
+    with archive.open(name) as file:
+        return npy.read_array(file, allow_pickle=False)
 
-    Exported tables are in the units of `mixtac_recordings.export`.
+
+class _StoredRows:
+    """An array in a file, whose rows are read in their order, once.
+
+    Args:
+        file: The file, in the format `.npy`.
     """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        version = npy.read_magic(file)
+        if version not in readers:
+            raise ValueError(f'an array in version {version} of the format')
+        self.shape, self.fortran_order, self.dtype = readers[version](file)
+        self.ndim = len(self.shape)
+        if self.dtype.hasobject:
+            raise ValueError('an array of objects')
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, rows: slice) -> NDArray[Any]:
+        """Return the next rows; the beginning of the slice must be where the last one ended."""
+        count = len(range(len(self))[rows])
+        size = count * self.dtype.itemsize * math.prod(self.shape[1:])
+        return np.frombuffer(self._file.read(size), self.dtype).reshape(count, *self.shape[1:])
+
+
+def _sliced(columns: Any, name: str) -> Iterator[Rows]:  # noqa: ANN401
+    """Yield columns of equal length, arrays or data sets, some rows at a time."""
     columns = {
         COLUMNS.get(key.lower(), key.lower()) if np.ndim(each) == 1 else key: each
         for key, each in columns.items()
     }
-    units = dict.fromkeys(('exposure_start', 'exposure_end'), 'us')
-    exported = any(
-        np.ndim(each) == 2 for key, each in columns.items() if key in {'force', 'acceleration'}
-    )
-    # Seconds are fractions.
-    if exported and np.asarray(columns.get('t', ())[:1]).dtype.kind in 'iu':
-        units['t'] = 'ns' if 'force' in columns else 'us'
     key = next((key for key in ('t', 'exposure_start') if key in columns), '')
-    count = len(columns[key]) if key else 0
+    count = len(columns[key]) if key and np.ndim(columns[key]) else 0
     used = {key: each for key, each in columns.items() if np.ndim(each) and len(each) == count}
     rows = 10 if name == 'frames' else ROWS
     for start in range(0, count, rows):
-        yield {key: np.asarray(each[start : start + rows]) for key, each in used.items()}, units
+        yield {key: np.asarray(each[start : start + rows]) for key, each in used.items()}
 
 
 class _Hdf5Tables(Tables):
@@ -342,7 +467,8 @@ class _Hdf5Tables(Tables):
 
     def __init__(self, path: Path) -> None:
         self._file = open_hdf5(path, 'r')
-        super().__init__(path, {key for key, each in self._file.items() if hasattr(each, 'items')})
+        groups = {key for key, each in self._file.items() if hasattr(each, 'items')}
+        super().__init__(path, groups, exported='units' in self._file.attrs)
 
     def close(self) -> None:
         """Close the file."""
@@ -350,14 +476,19 @@ class _Hdf5Tables(Tables):
 
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         group = self._file[name]
-        offset = np.int64(self._file['t_offset'][()]) if 't_offset' in self._file else np.int64(0)
+        offset = np.asarray(self._file['t_offset'][()] if 't_offset' in self._file else 0)
         try:
-            for rows, units in _sliced(group, name):
+            for rows in _sliced(group, name):
                 if name == 'events' and 't' in rows:
-                    rows['t'] = rows['t'].astype(np.int64) + offset
-                yield rows, units
+                    rows['t'] = _signed(rows['t']) + _signed(offset)
+                yield rows, {}
         except OSError as error:
             raise RecordingError(
                 f'{self.path}, {name}: {error}',
                 remedy='pip install hdf5plugin, which reads compressed data of DSEC',
             ) from error
+
+
+def _signed(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return integers as `int64`, which a sum with others keeps; fractions as they are."""
+    return numbers if numbers.dtype.kind == 'f' else numbers.astype(np.int64)

@@ -5,22 +5,33 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from recording_samples import write_aedat4
+
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame, InertialSamples
 from mixtac_node.topics import REFERENCE
+from mixtac_recordings.aedat4 import events_packet, frame_packet
 from mixtac_recordings.bag import BagFile, find_bags
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.dataset import folder_facts
-from mixtac_recordings.export import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink
+from mixtac_recordings.export import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink, export_recording
 from mixtac_recordings.importing import TableOptions, import_recording
-from mixtac_recordings.recording import RecordingError, RecordingInfo
+from mixtac_recordings.recording import (
+    DamagedRecordingError,
+    RecordingError,
+    RecordingInfo,
+    Selection,
+)
+from mixtac_recordings.summary import summarise
 
 START_US = 1_790_000_000_000_000
 RNG = np.random.default_rng(7)
@@ -154,8 +165,16 @@ def test_events_of_other_tables(tmp_path: Path, heading: str, unit: str, scale: 
         't,x,y,p\n5,2,a,0\n',
         't,x,y,p\n-5,2,3,0\n',
         't,x,y,p\n',
+        't,x,y,p\n0.5,2,3,0\n1.5,2,3,0\n',
+        't,x,y,p\n5,nan,3,0\n',
+        't,x,y,p\n5,2,3,inf\n',
+        't,x,y,p\n5,2,3,0\nnan,2,3,0\n',
+        '1,2,3\n',
     ],
-    ids=['column', 'fractions', 'backwards', 'outside', 'letters', 'negative', 'empty'],
+    ids=[
+        *('column', 'fractions', 'backwards', 'outside', 'letters', 'negative', 'empty'),
+        *('seconds', 'no coordinate', 'no polarity', 'no time', 'three columns'),
+    ],
 )
 def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str):
     (tmp_path / 'events.csv').write_text(text)
@@ -182,11 +201,21 @@ def imported_forces(folder: Path, table: Path, **options: str) -> tuple[np.ndarr
         't,fx,fy,fz,f\n0,3,4,1.5,9\n0.5,3,4,2.5,9\n',
         'f;t (ms)\n1.5;0\n2.5;500\n',
         '\n\nt,"force_z [N]"\n0,1.5\n0.5,2.5\n',
+        'Time (s);Fz [N];state\n0;1,5;1\n0,5;2,5;1\n',
+        '0;1,5\n0,5;2,5\n',
+        'Time (s);Fz (N, calibrated)\n0;1.5\n0.5;2.5\n',
+        '# t fz\n0.0 1.5\n0.5   2.5\n\n',
+        '0,7,8,1.5,1,2,3\n0.5,7,8,2.5,1,2,3\n',
+        '\ufefft,fz\n0,1.5\n0.5,2.5\n',
     ],
-    ids=['index', 'blank heading', 'norm beside', 'force alone', 'blank lines'],
+    ids=[
+        *('index', 'blank heading', 'norm beside', 'force alone', 'blank lines'),
+        *('decimal commas', 'without headings', 'comma in a unit', 'spaces', 'vectors', 'UTF-16'),
+    ],
 )
 def test_columns_are_found_by_their_headings(tmp_path: Path, text: str):
-    (tmp_path / 'forces.csv').write_text(text)
+    encoding = 'utf-16-le' if text[0] == '\ufeff' else 'utf8'
+    (tmp_path / 'forces.csv').write_text(text, encoding=encoding)
     stamps, force = imported_forces(tmp_path, tmp_path / 'forces.csv')
     assert stamps.tolist() == [0, 500_000_000]
     assert force.tolist() == [1.5, 2.5]
@@ -214,13 +243,28 @@ def test_vectors_of_forces_in_seconds_stay_in_seconds(tmp_path: Path):
         't,fz,force_z\n0,1,2\n',
         't,fz\n1700000000000000000,1\n',
         't,fz\nnan,1\n',
+        't,fz\n',
+        't,fz\n\n\n',
+        '0.1,1.5,2,3,4,5\n',
+        'Zeit,Kraft\n0,1\n',
     ],
-    ids=['empty', 'unit of time', 'unit of force', 'twice', 'nanoseconds', 'no number'],
+    ids=[
+        *('empty', 'unit of time', 'unit of force', 'twice', 'nanoseconds', 'no number'),
+        *('no rows', 'blank rows', 'six columns', 'other headings'),
+    ],
 )
 def test_tables_that_could_be_misread_are_refused(tmp_path: Path, text: str):
     (tmp_path / 'forces.csv').write_text(text)
     with pytest.raises(RecordingError):
         imported_forces(tmp_path, tmp_path / 'forces.csv')
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_a_unit_of_force_is_not_to_be_left_out(tmp_path: Path):
+    (tmp_path / 'forces.csv').write_text('t,fz [mN]\n0,1\n')
+    with pytest.raises(RecordingError) as caught:
+        imported_forces(tmp_path, tmp_path / 'forces.csv')
+    assert 'leave' not in caught.value.remedy
 
 
 def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
@@ -239,3 +283,217 @@ def test_a_bag_is_described_by_its_folders(tmp_path: Path):
     assert found['two'] == {'profile': 'static', 'split': 'test'}
     assert found['three'] == {'profile': 'dynamic', 'split': 'train'}
     assert found['one']['profile'] == 'static'
+
+
+def test_forces_that_are_not_there_are_named(tmp_path: Path):
+    texts = []
+    for make in (lambda: None, (tmp_path / 'forces').touch):
+        make()
+        with pytest.raises(RecordingError) as caught:
+            imported_forces(tmp_path, tmp_path / 'forces')
+        (tmp_path / 'recording.aedat4').unlink()
+        texts.append(str(caught.value))
+    assert texts[0] != texts[1]
+
+
+def test_a_unit_that_is_named_counts_for_vectors_of_forces(tmp_path: Path):
+    force = np.array([[0, 0, f] for f in (1.0, 2.0)])
+    np.savez(tmp_path / 'forces.npz', t=np.array([0, 500]), force=force)
+    stamps, _ = imported_forces(tmp_path, tmp_path / 'forces.npz', force_unit='ms')
+    assert stamps.tolist() == [0, 500_000_000]
+
+
+def events_npz(folder: Path, **changed: np.ndarray) -> Path:
+    """Write EVENTS as a table; `changed` replaces columns."""
+    columns = {'t': EVENTS.t, 'x': EVENTS.x, 'y': EVENTS.y, 'p': EVENTS.polarity} | changed
+    np.savez(folder / 'events.npz', **columns)
+    return folder / 'events.npz'
+
+
+def test_fractions_of_seconds_need_their_unit(tmp_path: Path):
+    path = events_npz(tmp_path, t=(EVENTS.t - START_US) / 1e6)
+    with pytest.raises(RecordingError) as caught:
+        import_recording(path, tmp_path / 'bag')
+    assert '--time-unit s' in caught.value.remedy
+    import_recording(path, tmp_path / 'bag', options=TableOptions(time_unit='s'))
+    assert np.array_equal(read_back(tmp_path / 'bag')[0].t, EVENTS.t - START_US)
+
+
+@pytest.mark.parametrize('offset', [np.int64(3_000_000), np.uint64(3_000_000), np.float64(3e6)])
+def test_event_times_of_hdf5_may_be_fractions(tmp_path: Path, offset: np.generic):
+    h5py = pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+    with h5py.File(tmp_path / 'x.h5', 'x') as file:
+        for name in ('x', 'y', 'polarity'):
+            file[f'events/{name}'] = getattr(EVENTS, name)
+        file['events/t'] = (EVENTS.t - START_US) / 1e3
+        file['t_offset'] = offset
+    import_recording(tmp_path / 'x.h5', tmp_path / 'bag', options=TableOptions(time_unit='ms'))
+    expected = EVENTS.t - START_US + 1000 * int(offset)
+    assert np.array_equal(read_back(tmp_path / 'bag')[0].t, expected)
+
+
+def frames_npz(folder: Path, image: np.ndarray) -> Path:
+    """Write events and frames as a folder of tables."""
+    events_npz(folder)
+    t = START_US + 40_000 * np.arange(len(image))
+    np.savez(folder / 'frames.npz', exposure_start=t, exposure_end=t + 5000, image=image)
+    return folder
+
+
+GREY = RNG.integers(0, 256, (23, 260, 346))
+
+
+@pytest.mark.parametrize(('dtype', 'scale'), [(np.uint8, 4), (np.uint16, 1), (np.int64, 1)])
+@pytest.mark.parametrize('order', ['C', 'F'])
+def test_frames_of_several_types_have_ten_bits(tmp_path: Path, dtype, scale: int, order: str):
+    tables = tmp_path / 'tables'
+    tables.mkdir()
+    import_recording(frames_npz(tables, GREY.astype(dtype, order=order)), tmp_path / 'bag')
+    _, found = read_back(tmp_path / 'bag')
+    assert np.array_equal([frame.image for frame in found], GREY * scale)
+
+
+@pytest.mark.parametrize(
+    'image',
+    [GREY.astype(np.uint16) * 64, GREY - 1, GREY / 255, GREY.astype(np.uint8)[..., None]],
+    ids=['16 bits', 'negative', 'fractions', 'channels'],
+)
+def test_frames_of_other_values_are_refused(tmp_path: Path, image: np.ndarray):
+    with pytest.raises(RecordingError):
+        import_recording(frames_npz(tmp_path, image), tmp_path / 'bag')
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_a_table_of_edges_needs_their_kind(tmp_path: Path):
+    events_npz(tmp_path)
+    np.savez(tmp_path / 'edges.npz', t=EVENTS.t[:3])
+    with pytest.raises(RecordingError):
+        import_recording(tmp_path, tmp_path / 'bag')
+
+
+def pictures(folder: Path, text: str) -> Path:
+    """Write a picture, the table of frames that names it, and events as a folder of tables."""
+    rows = zip(EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.polarity, strict=True)
+    with (folder / 'events.csv').open('w') as file:
+        csv.writer(file).writerows(
+            [('t', 'x', 'y', 'p'), *((t, x, y, int(p)) for t, x, y, p in rows)]
+        )
+    cv2.imwrite(str(folder / 'a.png'), FRAMES[0].image << 6)
+    (folder / 'frames.csv').write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ('text', 'count'),
+    [
+        (f'file;t\na.png;{START_US}\n', 1),
+        (f'file,t\n"a.png",{START_US}\n\n \n', 1),
+        ('file,exposure_start,exposure_end\n', 0),
+    ],
+    ids=['semicolons', 'blank lines', 'no rows'],
+)
+def test_tables_of_pictures(tmp_path: Path, text: str, count: int):
+    tables = tmp_path / 'tables'
+    tables.mkdir()
+    assert import_recording(pictures(tables, text), tmp_path / 'bag').frames == count
+
+
+def test_a_row_without_all_cells_is_refused(tmp_path: Path):
+    with pytest.raises(RecordingError):
+        import_recording(pictures(tmp_path, f'file,t\na.png,{START_US}\na.png\n'), tmp_path / 'bag')
+
+
+def test_an_empty_table_of_frames_gives_no_size(tmp_path: Path):
+    tables = tmp_path / 'tables'
+    tables.mkdir()
+    frames_npz(tables, np.zeros((0, 260, 346), np.uint16))
+    assert import_recording(tables, tmp_path / 'bag').frames == 0
+
+
+def test_forces_of_a_bag_come_along_or_are_said_to_be_left_out(tmp_path: Path):
+    fill(CsvSink(tmp_path))
+    import_recording(tmp_path, tmp_path / 'bag')
+    counts = import_recording(tmp_path / 'bag', tmp_path / 'again')
+    assert counts.wrenches == {REFERENCE: len(STAMPS_NS)}
+    assert counts.warnings() == []
+    for found, expected in zip(forces(tmp_path / 'again'), forces(tmp_path / 'bag'), strict=True):
+        assert np.array_equal(found, expected)
+    (tmp_path / 'forces.csv').write_text('t,fz\n0,1\n')
+    counts = import_recording(tmp_path / 'bag', tmp_path / 'third', forces=tmp_path / 'forces.csv')
+    assert counts.wrenches == {REFERENCE: 1}
+    assert counts.forces_replaced
+    assert len(counts.warnings()) == 1
+
+
+@pytest.mark.parametrize('make', [Aedat4Sink, Hdf5Sink])
+def test_the_folder_of_an_exported_file_is_enough(tmp_path: Path, make):
+    folder = tmp_path / 'out'
+    folder.mkdir()
+    if make is Hdf5Sink:
+        pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+        fill(Hdf5Sink(folder))
+    else:
+        info = RecordingInfo(tmp_path, 'test', 'DAVIS', 346, 260, 0, START_US, 90_000, ())
+        fill(Aedat4Sink(folder, info))
+    import_recording(folder, tmp_path / 'bag')
+    check(tmp_path / 'bag')
+
+
+def test_upper_case_suffixes_are_known(tmp_path: Path):
+    info = RecordingInfo(tmp_path, 'test', 'DAVIS', 346, 260, 0, START_US, 90_000, ())
+    fill(Aedat4Sink(tmp_path, info))
+    path = (tmp_path / 'recording.aedat4').rename(tmp_path / 'X.AEDAT4')
+    import_recording(path, tmp_path / 'bag')
+    check(tmp_path / 'bag')
+    assert summarise(path).events['events'].events == COUNT
+
+
+def test_a_place_above_a_new_folder_is_refused(tmp_path: Path):
+    path = events_npz(tmp_path)
+    with pytest.raises(RecordingError):
+        import_recording(path, tmp_path / 'new' / '..')
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def two_cameras(path: Path) -> Path:
+    """Write a file of two cameras, each with half of EVENTS and one of FRAMES."""
+    packets = [
+        ('EVTS', 'A', events_packet(EVENTS[::2])),
+        ('EVTS', 'B', events_packet(EVENTS[1::2])),
+        ('FRME', 'A', frame_packet(FRAMES[0])),
+        ('FRME', 'B', frame_packet(FRAMES[1])),
+    ]
+    write_aedat4(path, packets)
+    return path
+
+
+@pytest.mark.parametrize('camera', [0, 1])
+def test_one_of_two_cameras_is_chosen_by_its_events(tmp_path: Path, camera: int):
+    path = two_cameras(tmp_path / 'two.aedat4')
+    with pytest.raises(RecordingError):
+        import_recording(path, tmp_path / 'bag')
+    selection = Selection(events=f'EVTS of {"AB"[camera]}')
+    import_recording(path, tmp_path / 'bag', selection=selection)
+    events, (frame,) = read_back(tmp_path / 'bag')
+    assert np.array_equal(events.t, EVENTS.t[camera::2])
+    assert np.array_equal(frame.image, FRAMES[camera].image)
+    counts = export_recording(path, 'npz', tmp_path / 'npz', selection=selection)
+    assert (counts.events, counts.frames) == (COUNT // 2, 1)
+
+
+def test_nothing_can_be_chosen_of_tables(tmp_path: Path):
+    with pytest.raises(RecordingError):
+        import_recording(events_npz(tmp_path), tmp_path / 'bag', selection=Selection(events='a'))
+
+
+def test_inspecting_lists_every_camera(tmp_path: Path):
+    found = summarise(two_cameras(tmp_path / 'two.aedat4'))
+    assert sorted(found.counts.values()) == [1, 1, 1, 1]
+    assert [each.events for each in found.events.values()] == [COUNT // 2, COUNT // 2]
+
+
+def test_an_empty_folder_is_no_damaged_bag(tmp_path: Path):
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(RecordingError) as caught:
+        import_recording(tmp_path / 'empty', tmp_path / 'bag')
+    assert not isinstance(caught.value, DamagedRecordingError)
