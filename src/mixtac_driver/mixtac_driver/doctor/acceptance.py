@@ -64,7 +64,7 @@ def take(batches: Iterator[CameraBatch], seconds: float, settle_s: float = 0.0) 
     """
     stretch, began_us, late_s = Stretch(), None, time.monotonic() + PATIENCE * (settle_s + seconds)
     for batch in batches:
-        now_us = batch.decoded.time_us
+        now_us = batch.time_us
         began_us = now_us if began_us is None else began_us
         passed_s = 1e-6 * (now_us - began_us)
         if passed_s >= settle_s:

@@ -95,36 +95,45 @@ WIDTH, HEIGHT = 346, 260
 class Stretch:
     """What a camera sent for some time.
 
+    Camera time goes on where the clock is reset, or a recording starts again.
+
     Attributes:
-        arrivals: Camera time [us since its reset] and arrival [us since the Unix epoch] of reads.
-        counts: Events per pixel [260, 346], OFF and ON, `int64` [2, ...].
+        size: Columns and rows of the event array.
+        arrivals: Camera time [us] and arrival [us since the Unix epoch] of reads.
+        counts: Events per pixel, OFF and ON, `int64` [2, rows, columns].
         bins: Events per polarity and millisecond of camera time.
         frames: Frames.
         temperatures: Temperatures of the inertial unit [degrees Celsius].
         edges: Edges at the synchronisation connector.
-        resets: Resets of the clock.
     """
 
+    size: tuple[int, int] = (WIDTH, HEIGHT)
     arrivals: list[tuple[int, float]] = field(default_factory=list)
-    counts: NDArray[np.int64] = field(
-        default_factory=lambda: np.zeros((2, HEIGHT, WIDTH), np.int64)
-    )
+    counts: NDArray[np.int64] = field(init=False)
     bins: list[tuple[int, NDArray[np.int64]]] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     temperatures: list[float] = field(default_factory=list)
     edges: list[Edges] = field(default_factory=list)
-    resets: int = 0
+    _origin_us: int = 0
+
+    def __post_init__(self) -> None:
+        """Make room for the counts."""
+        width, height = self.size
+        self.counts = np.zeros((2, height, width), np.int64)
 
     def add(self, batch: CameraBatch) -> None:
         """Take a batch into account."""
         decoded, e = batch.decoded, batch.decoded.events
-        self.arrivals.append((decoded.time_us, batch.arrival_ns / 1000))
-        self.resets = decoded.resets
+        if not self.arrivals:
+            self._origin_us = batch.origin.us
+        gone_on_us = batch.origin.us - self._origin_us
+        self.arrivals.append((decoded.time_us + gone_on_us, batch.arrival_ns / 1000))
         if len(e):
             on = e.polarity.astype(np.int64)
             np.add.at(self.counts, (on, e.y, e.x), 1)
-            first = int(e.t[0]) // BIN_US
-            self.bins.append((first, np.bincount(2 * (e.t // BIN_US - first) + on)))
+            t = e.t + gone_on_us
+            first = int(t[0]) // BIN_US
+            self.bins.append((first, np.bincount(2 * (t // BIN_US - first) + on)))
         self.frames += decoded.frames
         self.temperatures += decoded.imu.temperature.tolist()
         if len(decoded.edges.t):
@@ -398,7 +407,7 @@ def flashes(stretch: Stretch) -> list[tuple[int, int]]:
         return []
     window = np.ones(FLASH_US // BIN_US)
     sums = [np.convolve(series[:, k] - np.median(series[:, k]), window) for k in (1, 0)]
-    enough = FLASH_SHARE * WIDTH * HEIGHT
+    enough = FLASH_SHARE * math.prod(stretch.size)
     start = stretch.bins[0][0] * BIN_US
 
     def bursts(k: int) -> list[int]:

@@ -204,7 +204,7 @@ class DriverServices:
         identity = self._source.status().identity
         response.id = identity.serial if identity is not None else ''
         self._stretch_done.clear()
-        self._stretch = stretch = Stretch()
+        self._stretch = stretch = Stretch(identity.geometry.event_size) if identity else Stretch()
         try:
             self._wait(self._stretch_done, SELF_TEST_S, 'end of the self-test')
         except StreamError as error:

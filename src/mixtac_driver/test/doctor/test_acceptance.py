@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from acceptance_scene import RestingScene
 
+from mixtac_driver.camera import CameraBatch
+from mixtac_driver.clock import Origin
 from mixtac_driver.doctor.acceptance import Person, accept
 from mixtac_driver.doctor.stretch import (
     CHECKS,
@@ -24,6 +26,8 @@ from mixtac_driver.doctor.stretch import (
     passive_checks,
 )
 from mixtac_driver.parameters import DriverParameters
+from mixtac_events.arrays import Events
+from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_sim.usb.faults import Fault, FaultKind
 
 STILL_S = 1.6
@@ -93,3 +97,22 @@ def test_the_series_puts_events_in_their_milliseconds():
     stretch = Stretch()
     stretch.bins = [(5, np.array([1, 2, 0, 4])), (8, np.array([7]))]
     np.testing.assert_array_equal(stretch.series(), [[1, 2], [0, 4], [0, 0], [7, 0]])
+
+
+def batch_of(time_us, origin_us, resets=1):
+    """Return one event of the last pixel, and the time [us] that the stream reached with it."""
+    e = Events(
+        np.array([time_us - 1]), np.array([639], 'u2'), np.array([479], 'u2'), np.array([True])
+    )
+    decoded = DecodedBatch(e, (), NO_SAMPLES, NO_EDGES, time_us, resets)
+    return CameraBatch(decoded, Origin(1000 * origin_us, 0), 1000 * (time_us + origin_us))
+
+
+@pytest.mark.parametrize('resets', [1, 2])
+def test_a_stretch_of_any_size_goes_on_where_the_clock_begins_anew(resets):
+    stretch = Stretch((640, 480))
+    stretch.add(batch_of(9_000_000, 10**9))
+    stretch.add(batch_of(1_000, 10**9 + 9_500_000, resets))
+    assert stretch.seconds == pytest.approx(0.501)
+    assert stretch.counts[1, 479, 639] == stretch.counts.sum() == 2
+    assert np.flatnonzero(stretch.series()[:, 1]).tolist() == [0, 501]

@@ -224,11 +224,11 @@ def test_settings_are_written_nowhere_else(rig):
     assert not rig.node.call('~/save_parameters').success
 
 
-def stream(rig, rate):
+def stream(rig, rate, size=SIZE):
     """Hand on one millisecond with some events of random pixels."""
     rng = np.random.default_rng(rig.time_us)
     t = np.sort(rng.integers(rig.time_us, rig.time_us + 1000, rate))
-    x, y = rng.integers(0, 346, rate), rng.integers(0, 260, rate)
+    x, y = (rng.integers(0, length, rate) for length in size)
     e = Events(t, x.astype(np.uint16), y.astype(np.uint16), rng.random(rate) < 0.5)
     decoded = DecodedBatch(e, (), NO_SAMPLES, NO_EDGES, rig.time_us + 1000, 1)
     rig.services.watch_batch(CameraBatch(decoded, Origin(0, 0), (rig.time_us + 1000) * 1000))
@@ -247,6 +247,17 @@ def test_the_self_test_judges_the_stream(rig, monkeypatch, rate, good):
     assert levels['noise rate'] == (b'\0' if good else b'\2')
     assert {*levels.values()} <= {b'\0', b'\2'}
     assert len(levels) == 7
+
+
+def test_the_self_test_counts_the_pixels_of_the_camera_that_is_open(rig, monkeypatch):
+    monkeypatch.setattr(driver_services, 'SELF_TEST_S', 0.6)
+    monkeypatch.setattr(driver_services, 'MARGIN_S', 20.0)
+    geometry = SimpleNamespace(event_size=(640, 480))
+    identity = SimpleNamespace(serial='large', geometry=geometry)
+    monkeypatch.setattr(rig.camera, 'status', lambda: SimpleNamespace(identity=identity))
+    rig.decode(lambda: stream(rig, 20, (640, 480)))
+    answer = rig.node.self_test()
+    assert (answer.passed, answer.id) == (b'\1', 'large')
 
 
 def test_a_self_test_without_a_stream_fails(rig, monkeypatch):
