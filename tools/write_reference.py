@@ -18,7 +18,7 @@ from mixtac_cli.parameters import RecorderParameters, SupervisorParameters, View
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters
 from mixtac_node.graph import rosbag2_qos
-from mixtac_node.parameters import ParameterSpec, specs
+from mixtac_node.parameters import ParameterSpec, specs, yaml_scalar
 from mixtac_node.topics import SERVICES, TOPICS
 from mixtac_sim.parameters import (
     VirtualArmParameters,
@@ -46,17 +46,6 @@ HEADER = (
 )
 
 
-def scalar(value: object) -> str:
-    """Return a value as YAML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return "'" + value.replace("'", "''") + "'"
-    text = repr(value)
-    # YAML 1.1 reads 3e-08 as a string.
-    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
-
-
 def allowed(spec: ParameterSpec) -> str:
     """Return the allowed values in words."""
     if spec.choices:
@@ -82,7 +71,7 @@ def config(node: str, schema: type[Any]) -> str:
             notes.append('Fixed while the node runs.')
         lines += ['']
         lines += [f'    # {line}' for note in notes for line in wrap(note)]
-        lines.append(f'    {spec.name}: {scalar(spec.default)}')
+        lines.append(f'    {spec.name}: {yaml_scalar(spec.default)}')
     return '\n'.join(lines) + '\n'
 
 
@@ -112,7 +101,7 @@ def reference() -> str:
         for spec in specs(schema):
             change = 'fixed' if spec.read_only else 'yes'
             lines.append(
-                f'| `{spec.name}` | `{scalar(spec.default)}` | {spec.unit} | {allowed(spec)} '
+                f'| `{spec.name}` | `{yaml_scalar(spec.default)}` | {spec.unit} | {allowed(spec)} '
                 f'| {change} | {spec.description} |'
             )
     return '\n'.join(lines) + '\n'

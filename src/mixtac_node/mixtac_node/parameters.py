@@ -63,7 +63,7 @@ class ParameterSpec:
         Raises:
             ParameterError: Wrong type, not finite, out of range, or none of the choices.
         """
-        if isinstance(self.default, float) and isinstance(value, int) and value is not True:
+        if type(self.default) is float and type(value) is int:
             value = float(value)
         if type(value) is not type(self.default):
             wanted = type(self.default).__name__
@@ -174,6 +174,21 @@ def parameter_file(node: str, settings: Any) -> str:  # noqa: ANN401
         node: Name of the node, in any namespace.
         settings: An instance of a schema.
     """
-    values = {spec.name: getattr(settings, spec.name) for spec in specs(type(settings))}
-    content = {f'/**/{node}': {'ros__parameters': values}}
-    return str(yaml.safe_dump(content, sort_keys=False))
+    lines = [f'/**/{node}:', '  ros__parameters:']
+    for name in (spec.name for spec in specs(type(settings))):
+        lines += [f'    {name}: {yaml_scalar(getattr(settings, name))}']
+    return '\n'.join(lines) + '\n'
+
+
+def yaml_scalar(value: Value) -> str:
+    """Return the value of a parameter as YAML, for ROS 2 and for YAML 1.1."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        # Always quoted: ROS 2 reads a serial number such as 00000389 or 12345e67 as a number.
+        if value.isascii() and value.isprintable():
+            return "'" + value.replace("'", "''") + "'"
+        return str(yaml.safe_dump(value, default_style='"', width=math.inf)).strip()
+    text = repr(value)
+    # YAML 1.1 reads 3e-08 as a string.
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text

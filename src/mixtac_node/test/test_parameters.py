@@ -7,10 +7,11 @@ from __future__ import annotations
 from dataclasses import FrozenInstanceError, dataclass
 
 import pytest
-from hypothesis import given
+import yaml
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mixtac_node.parameters import ParameterError, build, fixed, parameter, specs
+from mixtac_node.parameters import ParameterError, build, fixed, parameter, parameter_file, specs
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,48 @@ def test_a_whole_number_is_a_float_where_one_is_wanted():
     built = build(Gain, {'gain': 2})
     assert isinstance(built.gain, float)
     assert built.gain == 2.0
+    with pytest.raises(ParameterError):
+        build(Gain, {'gain': False})
+
+
+@dataclass(frozen=True)
+class Anything:
+    """Parameters without limits."""
+
+    text: str = parameter('')
+    number: float = parameter(0.0)
+    count: int = parameter(0)
+    enabled: bool = parameter(False)
+
+
+@given(
+    st.builds(
+        Anything,
+        st.text(st.characters(exclude_categories=('Cs',))),
+        st.floats(allow_nan=False, allow_infinity=False),
+        st.integers(-(2**63), 2**63 - 1),
+        st.booleans(),
+    )
+)
+@example(Anything("it's\n: {}", 3e-08))
+def test_a_parameter_file_holds_the_same_values(values):
+    content = yaml.safe_load(parameter_file('driver', values))
+    assert build(Anything, content['/**/driver']['ros__parameters']) == values
+
+
+@pytest.mark.parametrize('serial', ['00000389', '12345e67', 'true', '', "it's", 'a\nb'])
+def test_ros_reads_strings_of_a_parameter_file_as_strings(serial, tmp_path):
+    rclpy = pytest.importorskip('rclpy')
+    path, context = tmp_path / 'saved.yaml', rclpy.Context()
+    path.write_text(parameter_file('driver', Anything(serial, 3e-08)))
+    rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
+    node = rclpy.create_node('driver', context=context)
+    try:
+        assert node.declare_parameter('text', '').value == serial
+        assert node.declare_parameter('number', 0.0).value == 3e-08
+    finally:
+        node.destroy_node()
+        context.shutdown()
 
 
 def test_an_unknown_name_gives_the_nearest_known_one():
