@@ -145,6 +145,8 @@ def test_a_parameter_file_holds_the_same_values(values):
     assert build(Anything, content['/**/driver']['ros__parameters']) == values
 
 
+@pytest.mark.dds
+@pytest.mark.usefixtures('ros_domain')
 @pytest.mark.parametrize('serial', ['00000389', '12345e67', 'true', '', "it's", 'a\nb'])
 def test_ros_reads_strings_of_a_parameter_file_as_strings(serial, tmp_path):
     rclpy = pytest.importorskip('rclpy')

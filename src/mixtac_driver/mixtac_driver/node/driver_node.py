@@ -166,14 +166,18 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._meters.events.add(len(events))
         self._driver_services.watch_events(events, batch.time_us)
         kept = self._settings.mask.keep(events, size)
-        wanted = self._events.wanted
-        if wanted or self._rectified.wants_events:
+        # Subscribers that come in between get the next batch.
+        wanted, rectified_wanted = self._events.wanted, self._rectified.wants_events
+        if wanted or rectified_wanted:
             kept = self._on_epoch(kept, batch.origin.us)
         if wanted:
             self._events.publish(kept, batch.time_us, batch.arrival_ns, size)
         else:
             self._events.restart()
-        self._rectified.publish_events(kept, batch.time_us, batch.arrival_ns, size)
+        if rectified_wanted:
+            self._rectified.publish_events(kept, batch.time_us, batch.arrival_ns, size)
+        else:
+            self._rectified.restart()
 
     def _on_epoch(self, events: Events, origin_us: int) -> Events:
         """Return events on the epoch-based camera clock; valid until the next call."""

@@ -361,13 +361,9 @@ class RectifiedPublisher:
         self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]
     ) -> None:
         """Publish events at their undistorted pixels; arguments as in `EventPublisher.publish`."""
-        if self._events is None or self._camera is None:
-            return
-        if not self._events.wanted:
-            self._events.restart()
-            return
-        moved = self._camera.events(events)
-        self._events.publish(moved, time_us, arrival_ns, size)
+        if self._events is not None and self._camera is not None:
+            moved = self._camera.events(events)
+            self._events.publish(moved, time_us, arrival_ns, size)
 
     def publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
         """Publish a frame without distortion, in the size of the whole array."""

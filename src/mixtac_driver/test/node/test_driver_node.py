@@ -13,13 +13,19 @@ pytest.importorskip('event_camera_msgs.msg')
 pytest.importorskip('mixtac_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.srv import SelfTest
 from event_camera_msgs.msg import EventPacket
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 from std_srvs.srv import Trigger
 
+from mixtac_driver.calibration.camera_info import write_camera_info
+from mixtac_driver.calibration.lens import CameraCalibration
+from mixtac_driver.node.driver_node import DriverNode
 from mixtac_events.codec import decode_message
+from mixtac_events.packets import read_packet
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_LATCHED, QOS_SENSOR, qos
@@ -234,6 +240,59 @@ def test_nobody_listening_is_no_packet_and_a_late_listener_starts_right(camera, 
     packets = graph.got['/mixtac/events']
     graph.spin_until(lambda: len(packets) > 100)
     check_packets(packets)
+
+
+class WithSomeListeners:
+    """A publisher that has subscribers about every second time that somebody asks."""
+
+    def __init__(self):
+        self._rng, self.sent = np.random.default_rng(0), []
+
+    def get_subscription_count(self):
+        return int(self._rng.integers(0, 2))
+
+    def publish(self, message):
+        self.sent.append(message)
+
+
+@pytest.mark.usefixtures('ros_domain')
+def test_undistorted_packets_are_on_the_clock_whenever_listeners_come(camera, tmp_path):
+    events = WithSomeListeners()
+
+    class Driver(DriverNode):
+        def publish_topic(self, topic, **options):
+            return (
+                events if topic is topics.EVENTS_RECT else super().publish_topic(topic, **options)
+            )
+
+    calibration = tmp_path / 'davis346.yaml'
+    lens = np.array([[200.0, 0.0, 173.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
+    projection = np.hstack([lens, np.zeros((3, 1))])
+    write_camera_info(
+        calibration,
+        CameraCalibration(
+            'davis346', 346, 260, 'plumb_bob', np.zeros(5), lens, np.eye(3), projection
+        ),
+    )
+    camera.plug_in()
+    parameters = [camera.device, 'undistort_events:=true', f'camerainfo_url:={calibration}']
+    arguments = ['--ros-args', *(word for each in parameters for word in ('-p', each))]
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        driver = Driver()
+        try:
+            until_s = time.monotonic() + 60.0
+            while len(events.sent) < 100 and time.monotonic() < until_s:
+                time.sleep(0.01)
+        finally:
+            driver.close()
+            driver.destroy_node()
+    finally:
+        rclpy.shutdown()
+    ends = [decode_message(read_packet(each)).complete_until for each in events.sent]
+    assert len(ends) >= 100
+    assert ends == sorted(ends)
+    assert abs(ends[0] - time.time_ns() // 1000) < 120_000_000
 
 
 @pytest.mark.parametrize(('device', 'words'), [('davis346', 'virtual'), ('nonsense', 'davis346')])
