@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import queue
 import threading
@@ -158,6 +159,8 @@ WAITING_FRAMES = 2
 """Frames that wait to be compressed; more are dropped."""
 NICENESS = 5
 """Niceness of the thread that compresses."""
+LONGEST_CLOSE_S = 1.0
+"""Longest wait for a place in the queue, and then for the end of that thread [s]."""
 
 
 class FrameCompressor:
@@ -172,6 +175,7 @@ class FrameCompressor:
     def __init__(self, node: Any, p: DeviceParameters, meters: DriverMeters) -> None:  # noqa: ANN401
         self._kind, self._frame_id, self._meters = p.compressed_frames, p.camera_frame_id, meters
         self._publisher = node.publish_topic(topics.IMAGE_COMPRESSED)
+        self._complain = node.get_logger().error
         self._waiting: queue.Queue[tuple[Any, Any, str] | None] = queue.Queue(WAITING_FRAMES)
         self._thread = threading.Thread(target=self._run, name='compression', daemon=True)
         self._thread.start()
@@ -188,18 +192,24 @@ class FrameCompressor:
             self._meters.compressed_dropped += 1
 
     def close(self) -> None:
-        """End the thread."""
-        self._waiting.put(None)
-        self._thread.join()
+        """End the thread, unless it is stuck."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put(None, timeout=LONGEST_CLOSE_S)
+            self._thread.join(LONGEST_CLOSE_S)
 
     def _run(self) -> None:
         lower_priority(NICENESS)
         while (job := self._waiting.get()) is not None:
-            header, pixels, encoding = job
-            data, name = compress(pixels, encoding, self._kind)
-            message = CompressedImage(header=header, format=name)
-            set_octets(message, 'data', data)
-            self._publisher.publish(message)
+            try:
+                self._compress(*job)
+            except Exception as error:  # noqa: BLE001 - the thread serves the next frame
+                self._complain(f'frame not compressed: {error!r}', throttle_duration_sec=5.0)
+
+    def _compress(self, header: Any, pixels: Any, encoding: str) -> None:  # noqa: ANN401
+        data, name = compress(pixels, encoding, self._kind)
+        message = CompressedImage(header=header, format=name)
+        set_octets(message, 'data', data)
+        self._publisher.publish(message)
 
 
 TEMPERATURE_PERIOD_US = 100_000

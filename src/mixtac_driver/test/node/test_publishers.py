@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import logging
+import queue
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -187,6 +189,41 @@ def test_frames_that_cannot_be_compressed_in_time_are_dropped(node, identity, mo
     publisher.close()
     assert len(topic.sent) + meters.compressed_dropped == 10
     assert meters.compressed_dropped >= 7
+
+
+def test_frames_that_cannot_be_published_are_told_and_later_ones_come(node, identity, monkeypatch):
+    told, meters = queue.Queue(), DriverMeters()
+    logger = SimpleNamespace(error=lambda text, **_options: told.put(text))
+    monkeypatch.setattr(node, 'get_logger', lambda: logger)
+    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
+    topic = node.topics['image_raw/compressed']
+    topic.listeners = 1
+    frame = Frame(np.zeros((260, 346), np.uint16), 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
+    with monkeypatch.context() as broken:
+        broken.setattr(topic, 'publish', lambda _message: 1 / 0)
+        publisher.publish(frame, ORIGIN_US, identity)
+        assert told.get(timeout=60)
+    publisher.publish(frame, ORIGIN_US, identity)
+    publisher.close()
+    assert len(topic.sent) == 1
+
+
+def test_a_compression_that_is_stuck_lets_the_driver_end(node, identity, monkeypatch):
+    monkeypatch.setattr(edge_publisher, 'LONGEST_CLOSE_S', 0.05)
+    meters, gate = DriverMeters(), threading.Event()
+    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
+    topic = node.topics['image_raw/compressed']
+    topic.listeners = 1
+    monkeypatch.setattr(topic, 'publish', lambda _message: gate.wait())
+    frame = Frame(np.zeros((260, 346), np.uint16), 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
+    while not meters.compressed_dropped:
+        publisher.publish(frame, ORIGIN_US, identity)
+    closing = threading.Thread(target=publisher.close)
+    closing.start()
+    closing.join(60)
+    ended = not closing.is_alive()
+    gate.set()
+    assert ended
 
 
 def test_packets_after_a_pause_begin_where_the_stream_is(node):
