@@ -377,18 +377,22 @@ class Davis346:
         connection: Connection,
         transfer: Transfer,
     ) -> Iterator[CameraBatch]:
-        origin_before, came = epochs.origin, False
+        origin_before, came, was_reset = epochs.origin, False, False
         for batch in self._batches_of(decoder, transfer):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
             if origin is None:
                 continue
+            if origin_before is not None and origin is not origin_before:
+                # Before the batch: who takes it finds no map of the clock that was.
+                self.clock.restart()
+                was_reset = True
+            origin_before = origin
             yield CameraBatch(batch, origin, transfer.arrival_ns)
             end_us = (batch.time_us + origin.us) // self._period_us * self._period_us
             held_us = min(end_us + self._period_us - origin.us - batch.time_us, LONGEST_HELD_US)
             self._due_us = batch.time_us + held_us
             came = True
-        if origin_before is not None and epochs.origin is not origin_before:
-            self.clock.restart()
+        if was_reset:
             # Resets may come over the synchronisation cable: the master may have changed.
             self.is_master = read_is_master(connection.protocol)
         if came:

@@ -265,6 +265,20 @@ def test_reset_on_the_sync_cable_does_not_set_published_time_back():
         assert abs(times[1] - time.time_ns() // 1000) < 5_000_000
 
 
+def test_the_map_of_the_clock_ends_with_the_clock():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        camera.start()
+        fake.send([0x7002, 0x8010, 0x1001, 0x2001])
+        batches = camera.batches()
+        while not camera.clock.ready:
+            next(batches)
+        fake.send([1, 0x8003, 0x1001, 0x2002])
+        while next(batches).decoded.resets == 1:
+            assert camera.clock.ready
+        assert not camera.clock.ready
+
+
 def test_restart_after_stop_streams_again():
     fake = FakeCamera()
     with opened(fake) as camera:

@@ -54,8 +54,8 @@ class ClockEstimate:
         skew_ppm: How much faster the host's clock runs [1e-6].
         residual_us: RMS distance of the quickest arrivals per second above the line [us].
         span_s: Time over which pairs were collected [s].
-        pairs: Pairs used since the last restart.
-        steps: Restarts because one of the clocks was set.
+        pairs: Pairs used since the last restart or step.
+        steps: How often one of the clocks was set since the last restart.
     """
 
     offset_us: float
@@ -70,7 +70,6 @@ class ClockMap:
     """A running map from the camera's clock [us] to the host's [ns since the Unix epoch]."""
 
     def __init__(self) -> None:
-        self._steps = 0
         self.restart()
 
     def restart(self) -> None:
@@ -80,7 +79,7 @@ class ClockMap:
         self._current: _Point | None = None
         self._bucket = 0
         self._pairs = 0
-        self._late_buckets = 0
+        self._late_buckets = self._steps = 0
         self._line = (0.0, 0.0, 0.0)
 
     @property
@@ -153,8 +152,9 @@ class ClockMap:
         return [*self._buckets, *([self._current] if self._current else [])]
 
     def _step(self, camera_us: int, host_ns: int) -> None:
-        self._steps += 1
+        steps = self._steps + 1
         self.restart()
+        self._steps = steps
         self.add(camera_us, host_ns)
 
     def _collect(self, point: _Point) -> None:

@@ -95,6 +95,8 @@ def test_restart_forgets():
     clock = ClockMap()
     assert not clock.ready
     clock.add(1000, EPOCH_NS)
-    assert clock.ready
+    clock.add(1_000_000, EPOCH_NS)
+    assert (clock.ready, clock.estimate().steps) == (True, 1)
     clock.restart()
     assert not clock.ready
+    assert clock.estimate().steps == 0

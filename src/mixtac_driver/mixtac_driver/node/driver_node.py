@@ -209,7 +209,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if not clock.ready:
             return
         self._clock_due_s = time.monotonic() + CLOCK_PERIOD_S
-        self._meters.clock = clock.estimate()
+        self._meters.clock = clock.estimate(), origin_us
         host_ns = time.time_ns()
         camera_us = clock.to_camera_us(host_ns) + origin_us
         self._clock_publisher.publish(messages.camera_clock(host_ns, camera_us, serial))

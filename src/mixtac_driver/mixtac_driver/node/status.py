@@ -52,7 +52,7 @@ class StatisticsMeter:
     def __init__(self, control: CameraControl) -> None:
         self.fresh_losses = 0
         self._control = control
-        self._lost = 0
+        self._lost: int | None = None
         self._rates = Rates()
 
     def read(self) -> dict[str, object]:
@@ -66,9 +66,10 @@ class StatisticsMeter:
         return {} if statistics is None else self._figures(statistics)
 
     def _figures(self, statistics: CameraStatistics) -> dict[str, object]:
-        # A reopened camera counts from zero.
-        self.fresh_losses = max(statistics.lost - self._lost, 0)
-        self._lost = statistics.lost
+        # A camera that was not unplugged counts on from an earlier session; a reopened one may
+        # count from zero.
+        before = statistics.lost if self._lost is None else self._lost
+        self.fresh_losses, self._lost = max(statistics.lost - before, 0), statistics.lost
         totals = {f'camera {k.replace("_", " ")}': v for k, v in asdict(statistics).items()}
         dropped = {name: totals.pop(name) for name in DROPPED}
         return dropped | self._rates.read(totals)
@@ -86,7 +87,8 @@ class DriverMeters:
         edges_dropped: Edges dropped because there were too many.
         compressed_dropped: Frames not compressed because two were waiting.
         ages_s: Time from arrival to publication of packets [s].
-        clock: Latest figures of the clock map, or None.
+        clock: Latest figures of the clock map, and the origin of the camera's clock to which they
+            belong [us since the Unix epoch]; None before.
         temperature: Latest temperature of the camera [degrees Celsius], NaN without.
         exposure_us: Exposure of the latest frame [us], NaN without.
     """
@@ -96,7 +98,7 @@ class DriverMeters:
         self.frames, self.samples, self.edges = RateMeter(), RateMeter(), RateMeter()
         self.edges_dropped = self.compressed_dropped = 0
         self.ages_s = RecentValues()
-        self.clock: ClockEstimate | None = None
+        self.clock: tuple[ClockEstimate, int] | None = None
         self.temperature = math.nan
         self.exposure_us = math.nan
 
@@ -120,6 +122,7 @@ class DriverMeters:
 
 QUIET_S = 5.0
 """Time without data [s] from which a stream that counts as alive is reported nevertheless."""
+CLOCK_STEPPED = 'the camera clock or the host clock stepped: call ~/reset_timestamps'
 _STREAMING = {
     SourceKind.CAMERA: 'streaming',
     SourceKind.SIMULATED: 'streaming from a simulated camera',
@@ -202,6 +205,10 @@ class DriverStatus:
             return source.trouble
         if self._statistics is not None and self._statistics.fresh_losses:
             return 'the camera dropped events: too many to send'
+        if self._kind is not SourceKind.RECORDED and self._meters.clock is not None:
+            clock, _ = self._meters.clock
+            if clock.steps:
+                return CLOCK_STEPPED
         return ''
 
     def _recovery(self) -> dict[str, object]:
@@ -215,12 +222,13 @@ class DriverStatus:
         }
 
     def _clock(self, source: SourceStatus) -> dict[str, object]:
-        origin, clock = source.origin, self._meters.clock
-        if origin is None or clock is None:
+        origin = source.origin
+        if origin is None or self._meters.clock is None:
             return {}
+        clock, origin_us = self._meters.clock
         return {
             'clock origin uncertainty [us]': origin.uncertainty_ns / 1000,
-            'clock offset [us]': clock.offset_us - origin.us,
+            'clock offset [us]': clock.offset_us - origin_us,
             'clock skew [ppm]': clock.skew_ppm,
             'clock residual [us]': clock.residual_us,
             'clock steps': clock.steps,

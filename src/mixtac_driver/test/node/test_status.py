@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -14,11 +15,13 @@ pytest.importorskip('diagnostic_msgs.msg')
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
+from mixtac_driver.clock import Origin
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask
 from mixtac_driver.supervisor import State
+from mixtac_events.clock_map import ClockMap
 from mixtac_node.diagnostics import ERROR, OK, WARN
 
 
@@ -42,10 +45,15 @@ def supervisor():
 
 
 @pytest.fixture
-def status(camera, supervisor):
+def meters():
+    return DriverMeters()
+
+
+@pytest.fixture
+def status(camera, supervisor, meters):
     settings = DriverSettings(DriverParameters())
     settings.use_mask(PixelMask([(1, 1), (2, 2)], (346, 260)), lambda *_settings: None)
-    return DriverStatus('davis346', camera, supervisor, settings, DriverMeters())
+    return DriverStatus('davis346', camera, supervisor, settings, meters)
 
 
 def test_a_sound_stream_is_ok_and_told_in_figures(status):
@@ -60,8 +68,10 @@ def test_a_sound_stream_is_ok_and_told_in_figures(status):
 
 
 def test_what_the_camera_dropped_is_a_warning_until_it_stops(status, fake):
-    assert status.status().level == OK
+    # Dropped in an earlier session.
     fake.registers[0, 84] = 5
+    assert status.status().level == OK
+    fake.registers[0, 84] = 9
     said = status.status()
     assert said.level == WARN
     assert status.status().level == OK
@@ -81,6 +91,33 @@ def test_an_outage_between_two_reports_is_a_warning_once(status, supervisor):
     supervisor.reconnects += 1
     assert status.status().level == WARN
     assert status.status().level == OK
+
+
+ORIGIN_US = 1_760_000_000_000_000
+
+
+def clock_of(origin_us, steps_us=()):
+    """Return what is known of a camera clock after a second, and after each step of it."""
+    clock = ClockMap()
+    for second, offset_us in enumerate((0, *steps_us)):
+        for t in range(1_000_000 * second, 1_000_000 * (second + 1), 50_000):
+            clock.add(t, 1000 * (origin_us + t - offset_us))
+    return clock.estimate(), origin_us
+
+
+def test_a_clock_that_stepped_is_a_warning_until_it_is_reset(status, meters):
+    meters.clock = clock_of(ORIGIN_US, [32_768])
+    assert [status.status().level for _ in range(3)] == [WARN] * 3
+    meters.clock = clock_of(ORIGIN_US + 2_000_000)
+    assert status.status().level == OK
+
+
+def test_the_offset_of_the_clock_is_that_of_its_own_origin(status, meters, camera, monkeypatch):
+    meters.clock = clock_of(ORIGIN_US)
+    # Set to zero since the map was made.
+    later = replace(camera.status(), origin=Origin(1000 * (ORIGIN_US + 36 * 10**9), 500))
+    monkeypatch.setattr(camera, 'status', lambda: later)
+    assert status.status().values['clock offset [us]'] == pytest.approx(0.0)
 
 
 def test_a_stream_that_brings_nothing_is_an_error(status, supervisor):
