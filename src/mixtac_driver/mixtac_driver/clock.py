@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -80,9 +81,9 @@ CONFIRMATION_NS = 1_000_000_000
 class ClockEpochs:
     """Follows the resets of a camera's clock and keeps published time from going back.
 
-    The first reset that arrives after a request is the one whose host time was measured. Others
-    come from the synchronisation cable or from the camera itself; their host time is estimated
-    from their arrival.
+    The first reset that arrives after a request is the one whose host time was measured, the next
+    one that of the next request. Others come from the synchronisation cable or from the camera
+    itself; their host time is estimated from their arrival.
 
     Args:
         asked: Host time of the requested reset.
@@ -102,7 +103,7 @@ class ClockEpochs:
         self._confirmed = False
         self._guard = JumpGuard()
         self._resets = 0
-        self._pending: Origin | None = None
+        self._pending: deque[Origin] = deque()
         self._asking = threading.Lock()
 
     @property
@@ -123,7 +124,7 @@ class ClockEpochs:
             UsbError: As `reset` raises it.
         """
         with self._asking:
-            self._pending = reset()
+            self._pending.append(reset())
 
     def follow(self, resets: int, time_us: int, arrival_ns: int) -> Origin | None:
         """Return the origin for a stretch of the stream, or None while it has none.
@@ -136,9 +137,9 @@ class ClockEpochs:
         Raises:
             StreamError: The time is ahead of its arrival: the data were damaged.
         """
-        if resets != self._resets:
-            self._resets = resets
+        for _ in range(resets - self._resets):
             self._reset(time_us, arrival_ns)
+        self._resets = resets
         if not self._confirmed:
             return None
         self._guard.check(time_us + self._origin.us, arrival_ns // 1000)
@@ -160,15 +161,16 @@ class ClockEpochs:
 
     def _asked_before(self, arrival_ns: int) -> Origin | None:
         with self._asking:
-            asked = self._pending
-            if asked is None:
-                return None
-            late_ns = arrival_ns - (asked.host_ns - asked.uncertainty_ns)
-            if late_ns < 0:
-                # This reset was on its way already; the requested one is still to come.
-                return None
-            self._pending = None
-            return asked if late_ns <= CONFIRMATION_NS else None
+            while self._pending:
+                asked = self._pending[0]
+                late_ns = arrival_ns - (asked.host_ns - asked.uncertainty_ns)
+                if late_ns < 0:
+                    # This reset was on its way already; the requested one is still to come.
+                    break
+                self._pending.popleft()
+                if late_ns <= CONFIRMATION_NS:
+                    return asked
+        return None
 
     def _measured(self, asked: Origin, time_us: int, arrival_ns: int) -> None:
         # Data after the reset arrive after it: their arrival bounds the reset.

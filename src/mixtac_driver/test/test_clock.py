@@ -87,6 +87,19 @@ def test_a_reset_long_after_one_that_never_came_is_another():
     assert epochs.unasked == 1
 
 
+@pytest.mark.parametrize('at_once', [False, True])
+def test_resets_that_were_asked_for_before_the_first_arrived_are_all_known(at_once):
+    epochs = started()
+    first = Origin(ASKED.host_ns + 10**9, 2000)
+    second = Origin(first.host_ns + 400_000, 2000)
+    for each in (first, second):
+        epochs.ask(lambda each=each: each)
+    if not at_once:
+        assert epochs.follow(2, 5, first.host_ns + 500_000) == first
+    assert epochs.follow(3, 5, second.host_ns + 500_000) == second
+    assert epochs.unasked == 0
+
+
 def test_who_sees_the_reset_first_waits_for_its_time():
     epochs = started()
     later = Origin(ASKED.host_ns + 10**9, 2000)
