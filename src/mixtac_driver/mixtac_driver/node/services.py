@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.doctor.stretch import Check, Outcome, Stretch, passive_checks
-from mixtac_driver.errors import DriverError, StreamError
+from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
 from mixtac_driver.source import Source
@@ -175,10 +175,10 @@ class DriverServices:
                 p.hot_pixels_factor,
             )
             mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
+            self._settings.use_mask(mask, self._source.apply)
         except MixtacError:
-            self._settings.use_mask(before, self._source.apply)
+            self._restore(before)
             raise
-        self._settings.use_mask(mask, self._source.apply)
         if path:
             save_mask(mask, path)
         listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
@@ -225,6 +225,15 @@ class DriverServices:
             device = self._settings.parameters.device
             raise DriverError(f'{device} is a recording: {otherwise}')
         return control
+
+    def _restore(self, mask: PixelMask) -> None:
+        try:
+            self._settings.use_mask(mask, self._source.apply)
+        except UsbError:
+            # It gets the mask when it is opened again.
+            if self._source.control is not None:
+                self._settings.use_mask(mask, self._source.control.keep)
+            raise
 
     def _count(self, duration_s: float, size: tuple[int, int]) -> PixelCounter:
         self._counter = counter = PixelCounter(round(duration_s * 1e6), size)
