@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from mixtac_driver.davis346.settings import CameraParameters
+from mixtac_driver.errors import ConfigurationError
 from mixtac_events.codec import ENCODINGS
 from mixtac_node.parameters import fixed, parameter
 
@@ -25,6 +26,12 @@ class RecoveryPolicy(str, Enum):
 
     RECONNECT = 'reconnect'
     FAIL_STOP = 'fail_stop'
+
+
+USB_PACKET = 1024
+"""Largest packet of the data endpoint [bytes]: reads of other sizes end within one."""
+MOST_QUEUED = 256 << 20
+"""Limit of the memory of all USB reads that are queued [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +51,8 @@ class DeviceParameters:
         stream_timeout: Time without any data after which the stream counts as dead; a camera sends
             its time every 33 ms even in the dark
         usb_transfers: Number of USB reads queued at the camera
-        usb_transfer_size: Size of a USB read
-        usb_queue_size: Limit of received data waiting to be decoded
+        usb_transfer_size: Size of a USB read, a multiple of 1024; those queued may hold 256 MiB
+        usb_queue_size: Limit of received data waiting to be decoded; at least one USB read
         recovery_policy: Reaction to a camera failure: reconnect opens the camera again until it is
             back; fail_stop ends the driver with the reason and exit status 1
         recovery_first_pause: Pause before the first attempt to reconnect
@@ -75,7 +82,7 @@ class DeviceParameters:
     imu_frame_id: str = fixed('imu')
     stream_timeout: float = fixed(3.0, unit='s', within=(0.1, 3600.0))
     usb_transfers: int = fixed(128, within=(1, 1024))
-    usb_transfer_size: int = fixed(65536, unit='bytes', within=(512, 1 << 22))
+    usb_transfer_size: int = fixed(65536, unit='bytes', within=(USB_PACKET, 1 << 22))
     usb_queue_size: int = fixed(32 << 20, unit='bytes', within=(1 << 16, 1 << 30))
     recovery_policy: str = fixed(
         RecoveryPolicy.RECONNECT.value, choices=tuple(policy.value for policy in RecoveryPolicy)
@@ -136,3 +143,24 @@ class PlaybackParameters:
 @dataclass(frozen=True)
 class DriverParameters(CameraParameters, PlaybackParameters, DeviceParameters):
     """All parameters: what to open, how to run it, and how to publish its data."""
+
+    def check(self) -> None:
+        """Raise if a value is out of range, or if values contradict each other.
+
+        Raises:
+            ConfigurationError: Two values contradict each other, or reads of this size cannot be.
+            ParameterError: A value is out of range.
+        """
+        super().check()
+        size, transfers, queue = self.usb_transfer_size, self.usb_transfers, self.usb_queue_size
+        if size % USB_PACKET:
+            raise ConfigurationError(f'usb_transfer_size = {size}: give a multiple of {USB_PACKET}')
+        if queue < size:
+            raise ConfigurationError(
+                f'usb_queue_size = {queue}: give at least usb_transfer_size = {size}'
+            )
+        if transfers * size > MOST_QUEUED:
+            raise ConfigurationError(
+                f'usb_transfers = {transfers} of usb_transfer_size = {size}: give at most '
+                f'{MOST_QUEUED} bytes in all, such as usb_transfers = {MOST_QUEUED // size}'
+            )

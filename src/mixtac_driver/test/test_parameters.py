@@ -172,6 +172,9 @@ def test_numbers_have_ranges():
         ({'aps_roi_start_row': 9, 'aps_roi_end_row': 5}, 'aps_roi'),
         ({'generator_length': 10}, 'generator_interval'),
         ({'aps_auto_exposure_minimum': 40_000}, 'aps_auto_exposure_maximum'),
+        ({'usb_transfer_size': 65_537}, 'usb_transfer_size = 65537'),
+        ({'usb_transfer_size': 131_072, 'usb_queue_size': 131_071}, 'usb_queue_size = 131071'),
+        ({'usb_transfer_size': 1 << 22, 'usb_transfers': 65}, 'usb_transfers = 64'),
     ],
 )
 def test_contradicting_values_are_refused(values, name):
@@ -184,6 +187,11 @@ def test_values_out_of_range_are_refused():
     with pytest.raises(ParameterError) as error:
         build(DriverParameters, {'aps_exposure': 0})
     assert 'aps_exposure' in str(error.value)
+
+
+def test_the_most_and_the_least_of_usb_reads_are_allowed():
+    build(DriverParameters, {'usb_transfer_size': 1 << 22, 'usb_transfers': 64}).check()
+    build(DriverParameters, {'usb_transfer_size': 1024, 'usb_transfers': 1}).check()
 
 
 def test_recovery_is_chosen_by_name_and_fixed():
