@@ -212,7 +212,7 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
         ImageConversionError: Another compression or encoding, a damaged or too large image.
     """
     data = np.frombuffer(message.data, np.uint8)
-    width, height = _coded_size(bytes(data[:4096]))
+    width, height = coded_size(bytes(data[:HEADER_SIZE]))
     if not 0 < width * height <= MOST_PIXELS:
         raise ImageConversionError(
             f'compressed image of {width} x {height} pixels, format {message.format!r}: JPEG and'
@@ -236,13 +236,19 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
     return default_converter()(found, f'{source}{bits}', f'mono{bits}')
 
 
+HEADER_SIZE = 4096
+"""Bytes at the beginning of a compressed image that tell its size."""
 _PNG = b'\x89PNG\r\n\x1a\n'
 _NO_FRAME = {0xC4, 0xC8, 0xCC}
 """Markers of JPEG between 0xC0 and 0xCF that do not begin a frame."""
 
 
-def _coded_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that the beginning of a JPEG or PNG claims; zeros for another."""
+def coded_size(data: bytes) -> tuple[int, int]:
+    """Return width and height that the beginning of a JPEG or PNG claims; zeros for another.
+
+    Args:
+        data: Its first `HEADER_SIZE` bytes, or all.
+    """
     if data.startswith(_PNG) and len(data) >= 24:
         return struct.unpack_from('>II', data, 16)
     at = 2 if data.startswith(b'\xff\xd8') else len(data)
