@@ -428,7 +428,8 @@ class JsonProcess:
         assert self._process.stdout is not None  # noqa: S101  (always piped)
         for line in self._process.stdout:
             with contextlib.suppress(ValueError):
-                self._lines.put(json.loads(line))
+                if isinstance(received := json.loads(line), dict):
+                    self._lines.put(received)
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:

@@ -26,6 +26,14 @@ def test_lines_are_received_and_a_missing_one_is_named():
     assert repr('more') in str(caught.value)
 
 
+@pytest.mark.parametrize('line', ['5', 'null', '["ready"]', '"ready"', 'ready'])
+def test_lines_that_are_no_objects_are_left_out(line: str):
+    with JsonProcess(
+        'speaker', [sys.executable, '-c', f'print({line!r}); {REPORT}'], {}
+    ) as process:
+        assert process.expect('ready', 60.0) == {'ready': 1}
+
+
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
 def test_it_ends_with_its_parent(number: int):
     if shutil.which('setpriv') is None:
