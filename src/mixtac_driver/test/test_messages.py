@@ -61,7 +61,9 @@ def test_camera_info_tells_the_region():
     assert (info.width, info.height, info.header) == (346, 260, image.header)
     roi = info.roi
     assert (roi.x_offset, roi.y_offset, roi.width, roi.height) == (10, 20, 40, 30)
-    assert messages.camera_info(frame(), size, image).roi.width == 0
+    assert roi.do_rectify
+    whole = messages.camera_info(frame(), size, image).roi
+    assert (whole.width, whole.do_rectify) == (0, False)
 
 
 @pytest.mark.parametrize('global_shutter', [True, False])

@@ -142,6 +142,7 @@ def camera_info(
     if (width, height) != (message.width, message.height):
         message.roi.x_offset, message.roi.y_offset = frame.x, frame.y
         message.roi.width, message.roi.height = width, height
+        message.roi.do_rectify = True
     return message
 
 
