@@ -177,13 +177,16 @@ def _descriptors(capture: Capture) -> dict[int, bytes]:
     usual = DESCRIPTOR.pack(
         *(18, 1, 0x0300, 0, 0, 0, 9, DAVIS346.vendor, DAVIS346.product, FIRMWARE, 1, 2, 3, 1)
     )
+    captured = capture.descriptors()
+    if len(captured.get(DEVICE << 8, b'')) < DESCRIPTOR.size:
+        # Hosts may ask for the first eight bytes alone.
+        captured[DEVICE << 8] = usual
     return {
-        DEVICE << 8: usual,
         STRING << 8: bytes((4, STRING)) + struct.pack('<H', ENGLISH),
         STRING << 8 | 1: string_descriptor('iniVation'),
         STRING << 8 | 2: string_descriptor(DAVIS346.name.upper()),
         SERIAL: string_descriptor('captured'),
-        **capture.descriptors(),
+        **captured,
     }
 
 

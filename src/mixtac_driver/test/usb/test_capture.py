@@ -9,6 +9,7 @@ import io
 import struct
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,13 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.playback.replay import ReplayBackend, ReplayedCamera
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.usb.capture import (
+    DEVICE,
+    GET_DESCRIPTOR,
     HEADER,
     PACKET,
     SERIAL,
     CaptureWriter,
+    Request,
     read_capture,
 )
 from mixtac_events.arrays import Events
@@ -154,6 +158,15 @@ def test_a_bundle_is_a_recording_of_the_driver(captured, tmp_path):
     collect(source, replayed)
     source.close()
     assert same(replayed.all, seen.all)
+
+
+def test_a_device_descriptor_of_which_the_host_had_the_beginning_is_completed():
+    whole = read_capture(SHIPPED)
+    asked = Request(0, *GET_DESCRIPTOR, DEVICE << 8, 0, bytes((18, 1, 0, 3, 0, 0, 0, 9)))
+    others = [each for each in whole.requests if each.value != asked.value]
+    short = replace(whole, requests=(asked, *others))
+    with Davis346(backend=ReplayBackend(ReplayedCamera(short))) as camera:
+        assert camera.identity.chip == 'DAVIS346B'
 
 
 def test_a_loop_begins_again(captured):
