@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +20,9 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges, Frame, InertialSamples
+from mixtac_node.files import new_folder
 from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
-from mixtac_recordings.bag import find_bags
+from mixtac_recordings.bag import check_new, find_bags
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.export import PACKET_US, Counts, topic_file
@@ -82,30 +81,17 @@ def import_recording(
         What was written.
 
     Raises:
-        RecordingError: A file cannot be read, times go backwards, or the bag cannot be written.
+        RecordingError: A file cannot be read, times go backwards, or the bag exists.
+        FileError: The bag cannot be written.
     """
     options = options or TableOptions()
-    if out.exists():
-        raise RecordingError(f'{out} exists', remedy='name a new folder')
+    check_new(out)
     with _open_camera(path, options) as camera:
         wrenches = _wrenches(forces, options) if forces else camera.wrenches
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix='.import-', dir=out.parent))
-        except OSError as error:
-            raise RecordingError(f'cannot write {out}: {error}') from error
-        try:
-            with McapBag(scratch / out.name) as bag:
-                writer = StreamWriter(bag, camera.size, color_filter=camera.color_filter)
-                counts = _write(camera, wrenches, writer, same_clock=same_clock)
-                counts.damage = camera.damage
-            (scratch / out.name).rename(out)
-        except OSError as error:
-            raise RecordingError(
-                f'cannot write {out}: {error}', remedy='choose another folder with free space'
-            ) from error
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+        with new_folder(out) as made, McapBag(made) as bag:
+            writer = StreamWriter(bag, camera.size, color_filter=camera.color_filter)
+            counts = _write(camera, wrenches, writer, same_clock=same_clock)
+            counts.damage = camera.damage
     return counts
 
 

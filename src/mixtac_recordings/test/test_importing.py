@@ -15,7 +15,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame, InertialSamples
 from mixtac_node.topics import REFERENCE
-from mixtac_recordings.bag import BagFile, find_bags
+from mixtac_recordings.bag import BagFile, find_bags, fit_path
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.dataset import folder_facts
 from mixtac_recordings.export import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink
@@ -221,6 +221,13 @@ def test_tables_that_could_be_misread_are_refused(tmp_path: Path, text: str):
     (tmp_path / 'forces.csv').write_text(text)
     with pytest.raises(RecordingError):
         imported_forces(tmp_path, tmp_path / 'forces.csv')
+
+
+def test_the_clock_fit_of_an_earlier_bag_is_not_taken_over(tmp_path: Path):
+    fit_path(tmp_path / 'bag').write_text('{}')
+    with pytest.raises(RecordingError) as caught:
+        import_recording(tmp_path / 'any.csv', tmp_path / 'bag')
+    assert str(fit_path(tmp_path / 'bag')) in str(caught.value)
 
 
 def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):

@@ -27,6 +27,7 @@ from mixtac_driver.doctor.computer import Finding, Level, ok
 from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
+from mixtac_recordings.bag import check_new
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
@@ -73,8 +74,7 @@ def record(
     json: JsonFile = None,
 ) -> None:
     """Check disk, topics and clocks, record the running sensor, and report the losses."""
-    if out.exists():
-        raise RecordingError(f'{out} exists', remedy='name a new folder')
+    check_new(out)
     read_recordings(out.absolute().parent / FILE_NAME)
     console = Console(file=cast('TextIO', Display(sys.stdout)))
     with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
@@ -109,6 +109,7 @@ class Display:
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        """Return what else the stream has."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
