@@ -17,6 +17,7 @@ from mixtac_alignment.bags import write_fit
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_cli.figures import make_table
 from mixtac_cli.options import OptionalPath, Split
+from mixtac_node.files import new_folder
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag_writer import repair as repair_bag
 from mixtac_recordings.dataset import add_recording
@@ -125,9 +126,9 @@ def _one_clock() -> ClockFit:
 def inspect(
     bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
 ) -> None:
-    """List the topics of a recording, decode all events and count lost packets.
+    """List the topics of a recording, read all of it, decode the events and count lost packets.
 
-    Exit status 1 if the recording is incomplete.
+    Exit status 1 if the recording is incomplete or damaged.
     """
     summary = summarise(bag)
     rows = []
@@ -137,7 +138,15 @@ def inspect(
         rows.append((topic, summary.types[topic], count, *counted))
     headings = ('topic', 'type', 'messages', 'events', 'lost packets')
     title = f'{bag}, {summary.duration_s:.1f} s'
-    Console().print(make_table(title, headings, rows, words=2))
+    console = Console()
+    console.print(make_table(title, headings, rows, words=2))
+    for topic, events in sorted(summary.events.items()):
+        for count, what in (
+            (events.backward_steps, 'steps back in time: a reset of the clock, or disorder'),
+            (events.outside, 'events outside of the sensor, left out'),
+        ):
+            if count:
+                console.print(f'warning: {topic}: {count} {what}', style='yellow', markup=False)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 
@@ -152,7 +161,8 @@ def repair(
     """
     console = Console()
     if recording.suffix == AEDAT4_SUFFIX:
-        counts = export_recording(recording, 'aedat4', out)
+        with new_folder(out) as made:
+            counts = export_recording(recording, 'aedat4', made, whole=True)
         damage = counts.damage
         console.print(f'{out}: {counts.events} events, {counts.frames} frames')
     else:

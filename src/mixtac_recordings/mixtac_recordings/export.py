@@ -418,7 +418,12 @@ class Counts:
 
 
 def export_recording(
-    path: Path, kind: str, out: Path, progress: Callable[[float], None] = lambda _done: None
+    path: Path,
+    kind: str,
+    out: Path,
+    progress: Callable[[float], None] = lambda _done: None,
+    *,
+    whole: bool = False,
 ) -> Counts:
     """Write a recording in another format, in constant memory.
 
@@ -427,6 +432,7 @@ def export_recording(
         kind: One of `FORMATS`.
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
+        whole: As in `open_recording`.
 
     Raises:
         RecordingError: The recording cannot be read, the folder exists or cannot be written, or the
@@ -438,12 +444,13 @@ def export_recording(
         )
     if kind == 'hdf5':
         load_h5py()
-    with contextlib.closing(open_recording(path)) as recording:
+    with contextlib.closing(open_recording(path, whole=whole)) as recording:
         try:
             out.mkdir(parents=True)
             with contextlib.closing(_sink(kind, out, recording)) as sink:
-                counts = Counts(damage=recording.info.damage)
+                counts = Counts()
                 _export_camera(recording, sink, counts, progress)
+                counts.damage = recording.info.damage
                 if kind != 'aedat4' and path.suffix != AEDAT4_SUFFIX:
                     _export_wrenches(path, sink, counts)
         except OSError as error:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import StreamDecoder
-from mixtac_events.packets import CodecError
+from mixtac_events.packets import CodecError, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node.topics import EVENTS
 from mixtac_recordings.aedat4 import Aedat4Recording
@@ -31,6 +30,7 @@ class EventSummary:
         events: Number of events.
         duration_s: From the first to the last event, camera clock [s].
         backward_steps: Events that are older than the one before; 0 in a sound recording.
+        outside: Events outside of the sensor, left out.
     """
 
     packets: int
@@ -38,6 +38,7 @@ class EventSummary:
     events: int
     duration_s: float
     backward_steps: int
+    outside: int = 0
 
 
 @dataclass(frozen=True)
@@ -72,48 +73,77 @@ def summarise(path: Path) -> BagSummary:
     if path.suffix == AEDAT4_SUFFIX:
         return _summarise_aedat4(path)
     with BagFile(path) as bag:
-        events, notes = {}, [bag.damage] if bag.damage else []
-        for topic in bag.topics(EVENTS.type_name):
-            counter = SequenceCounter()
-            try:
-                found = _count(_packets(bag, topic, counter))
-            except (CodecError, DamagedRecordingError) as error:
-                notes.append(f'{topic}: {error}')
-                continue
-            events[topic] = EventSummary(counter.received, counter.lost, *found)
+        notes = [bag.damage] if bag.damage else []
+        counts = {topic: _PacketCount() for topic in bag.topics(EVENTS.type_name)}
+        try:
+            # All topics: only what is read shows its damage.
+            for topic, _, data in bag.messages(*bag.types, raw=bag.types):
+                if topic in counts:
+                    counts[topic].add_packet(data)
+        except DamagedRecordingError as error:
+            notes.append(str(error))
+        notes += [f'{topic}: {each.error}' for topic, each in counts.items() if each.error]
+        events = {topic: each.summary() for topic, each in counts.items() if not each.error}
         return BagSummary(bag.duration_ns / 1e9, bag.counts, bag.types, events, '; '.join(notes))
 
 
-def _packets(bag: BagFile, topic: str, counter: SequenceCounter) -> Iterable[Events]:
-    decoder = StreamDecoder()
-    for _, _, message in bag.messages(topic):
-        counter.update(message.seq)
-        yield decoder.decode(message).events
-
-
 def _summarise_aedat4(path: Path) -> BagSummary:
-    with contextlib.closing(Aedat4Recording(path)) as recording:
-        info, packets = recording.info, recording.packets
+    with contextlib.closing(Aedat4Recording(path, whole=True)) as recording:
+        info, packets, count = recording.info, recording.packets, _EventCount()
+        for piece in recording.pieces(0):
+            count.add(piece.events)
+        outside = recording.counters.events_outside
         events = {}
         if 'events' in packets:
-            pieces = recording.pieces(0)
-            found = _count(piece.events for piece in pieces if len(piece.events))
-            events['events'] = EventSummary(packets['events'], 0, *found)
+            figures = (count.events, count.duration_s, count.backward, outside)
+            events['events'] = EventSummary(packets['events'], 0, *figures)
         types = {kind: f'AEDAT4 stream {name!r}' for kind, name in info.contents}
-        return BagSummary(info.length_us / 1e6, packets, types, events, info.damage)
+        damage = recording.info.damage
+        return BagSummary(info.length_us / 1e6, packets, types, events, damage)
 
 
-def _count(packets: Iterable[Events]) -> tuple[int, float, int]:
-    """Return the number of events, their duration [s] and the steps backwards in time."""
-    count = backward = 0
-    first_us = last_us = None
-    for events in packets:
+class _EventCount:
+    """Counts events and steps backwards in time."""
+
+    def __init__(self) -> None:
+        self.events = self.backward = 0
+        self._span_us: tuple[int, int] | None = None
+
+    @property
+    def duration_s(self) -> float:
+        first_us, last_us = self._span_us or (0, 0)
+        return (last_us - first_us) / 1e6
+
+    def add(self, events: Events) -> None:
         if not len(events):
-            continue
-        count += len(events)
-        backward += int(np.count_nonzero(np.diff(events.t) < 0))
-        backward += last_us is not None and int(events.t[0]) < last_us
-        first_us = int(events.t[0]) if first_us is None else first_us
-        last_us = int(events.t[-1])
-    span_us = 0 if first_us is None or last_us is None else last_us - first_us
-    return count, span_us / 1e6, backward
+            return
+        first_us, last_us = self._span_us or (int(events.t[0]), int(events.t[0]))
+        self.events += len(events)
+        self.backward += int(np.count_nonzero(np.diff(events.t, prepend=last_us) < 0))
+        self._span_us = first_us, int(events.t[-1])
+
+
+class _PacketCount(_EventCount):
+    """Counts serialised packets and their events, until one cannot be decoded."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.error = ''
+        self._decoder = StreamDecoder()
+        self._sequence = SequenceCounter()
+
+    def add_packet(self, data: bytes) -> None:
+        if self.error:
+            return
+        try:
+            packet = read_packet(data)
+            self._sequence.update(packet.seq)
+            self.add(self._decoder.decode(packet).events)
+        except CodecError as error:
+            self.error = str(error)
+
+    def summary(self) -> EventSummary:
+        sequence = self._sequence
+        return EventSummary(
+            sequence.received, sequence.lost, self.events, self.duration_s, self.backward
+        )
