@@ -142,11 +142,11 @@ def inspect(
     console.print(make_table(title, headings, rows, words=2))
     for topic, events in sorted(summary.events.items()):
         for count, what in (
-            (events.backward_steps, 'steps back in time: a reset of the clock, or disorder'),
+            (events.backward_steps, 'steps back in time, by a reset of the clock or disorder'),
             (events.outside, 'events outside of the sensor, left out'),
         ):
             if count:
-                console.print(f'warning: {topic}: {count} {what}', style='yellow', markup=False)
+                console.print(f'warning: {topic}: {what}: {count}', style='yellow', markup=False)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 

@@ -13,6 +13,7 @@ import sys
 import termios
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -24,7 +25,6 @@ from mixtac_recordings.dataset import FILE_NAME, read_recordings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.dds
 END_S = 30.0
@@ -90,3 +90,21 @@ def test_a_closed_pipe_does_not_end_the_recording(ros_domain, tmp_path):
         wait_for(tmp_path / 'bag')
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
+
+
+FAILING = """
+import sys
+from pathlib import Path
+from mixtac_cli.record.recorder_node import Listener
+with Listener.opened('record', 'mixtac') as listener:
+    listener.listen('/ft_sensor/wrench')
+    listener.start(Path(sys.argv[1]))
+    raise SystemExit(3)
+"""
+
+
+def test_an_error_leaves_a_bag_that_is_whole(ros_domain, tmp_path):
+    command = [sys.executable, '-c', FAILING, str(tmp_path / 'bag')]
+    assert subprocess.run(command, env=ros_domain, timeout=END_S, check=False).returncode == 3
+    with BagFile(tmp_path / 'bag') as found:
+        assert found.damage == ''
