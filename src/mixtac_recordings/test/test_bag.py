@@ -274,7 +274,7 @@ def test_what_the_writer_of_a_bag_said_of_it_survives_a_repair(bag: Path, tmp_pa
 def test_the_clock_fit_of_an_earlier_bag_does_not_count_for_a_new_one(bag: Path, tmp_path: Path):
     new = tmp_path / 'new'
     fit_path(new).write_text('{}')
-    for make in (BagWriter, lambda out: repair(bag, out)):
+    for make in (lambda out: BagWriter(out).close(), lambda out: repair(bag, out)):
         with pytest.raises(RecordingError) as caught:
             make(new)
         assert str(fit_path(new)) in str(caught.value)
