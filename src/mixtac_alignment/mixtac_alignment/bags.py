@@ -24,7 +24,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2.errors import WriterError
 
 from mixtac_alignment.align import Recording, align
 from mixtac_alignment.clock_fit import ClockFit
@@ -48,10 +47,10 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.packets import read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
-from mixtac_node.files import read_data, write_json
+from mixtac_node.files import new_folder, read_data, write_json
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us
-from mixtac_recordings.bag import BagFile, typestore
+from mixtac_recordings.bag import BagFile, check_new, custom_data, fit_path, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.dataset import described_trial
 from mixtac_recordings.recording import RecordingError
@@ -342,11 +341,6 @@ def sensor_of(bag: Path) -> str | None:
 SCHEMA: Final = 1
 
 
-def fit_path(bag: Path) -> Path:
-    """Return where the fit of a bag lies."""
-    return bag.with_name(f'{bag.name}.clock_fit.json')
-
-
 def write_fit(fit: ClockFit, bag: Path) -> Path:
     """Write a fit beside its bag and return the file: the fields of `mixtac_msgs/ClockFit`."""
     path = fit_path(bag)
@@ -384,34 +378,34 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         namespace: Namespace of the camera's topics.
 
     Raises:
-        RecordingError: The new bag exists already or cannot be written.
+        RecordingError: The new bag or a clock fit of its name exists.
+        FileError: It cannot be written.
     """
+    check_new(out)
     types, changed = typestore(), 0
     fit_topic = f'{namespace}/clock_fit'
-    try:
-        with BagFile(bag) as source, McapBag(out) as writer:
-            copied = {c.topic: c for c in source.connections if c.topic != fit_topic}
-            handles = {topic: writer.add_like(connection) for topic, connection in copied.items()}
-            fit_handle = writer.add_connection(
-                fit_topic,
-                topics.CLOCK_FIT.type_name,
-                typestore=types,
-                offered_qos_profiles=(offered_qos(latched=True),),
-            )
-            writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
-            raw = copied.keys() - {reference}
-            for topic, received_ns, message in source.messages(*copied, raw=raw):
-                data = message
-                if topic == reference:
-                    stamp = message.header.stamp
-                    seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
-                    moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
-                    stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
-                    data = types.serialize_cdr(message, copied[topic].msgtype)
-                    changed += 1
-                writer.write(handles[topic], received_ns, data)
-    except (WriterError, OSError) as error:
-        raise RecordingError(f'cannot write {out}: {error}; choose a folder that is new') from error
+    with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
+        writer.custom_data.update(custom_data(bag))
+        copied = {c.topic: c for c in source.connections if c.topic != fit_topic}
+        handles = {topic: writer.add_like(connection) for topic, connection in copied.items()}
+        fit_handle = writer.add_connection(
+            fit_topic,
+            topics.CLOCK_FIT.type_name,
+            typestore=types,
+            offered_qos_profiles=(offered_qos(latched=True),),
+        )
+        writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
+        raw = copied.keys() - {reference}
+        for topic, received_ns, message in source.messages(*copied, raw=raw):
+            data = message
+            if topic == reference:
+                stamp = message.header.stamp
+                seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
+                moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
+                stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
+                data = types.serialize_cdr(message, copied[topic].msgtype)
+                changed += 1
+            writer.write(handles[topic], received_ns, data)
     return changed
 
 

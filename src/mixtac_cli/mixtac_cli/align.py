@@ -31,7 +31,7 @@ from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic, one_of
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.files import write_json
-from mixtac_recordings.bag import find_bags
+from mixtac_recordings.bag import distinct_names, find_bags
 
 METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
 POOLED: Final = ('refined', 'two_impulse')
@@ -44,7 +44,7 @@ class BagOutcome:
     """Result of aligning one bag.
 
     Attributes:
-        bag: Name of the bag.
+        bag: Name of the bag, one that no other of the run has.
         fit: Its clock map; None if it was refused.
         reason: Why it was refused.
         seconds: Computing time [s].
@@ -113,9 +113,11 @@ def align(
     if pool and many and method in POOLED:
         names = track(found, 'estimating sensor timing', console=console)
         timings = sensor_timings(names, reference, namespace)
+    shown = distinct_names(found)
     outcomes = [
         align_bag(
             bag,
+            name=shown[bag],
             method=cast('Method', method),
             reference=reference,
             namespace=namespace,
@@ -140,6 +142,7 @@ def align(
 def align_bag(
     bag: Path,
     *,
+    name: str = '',
     method: Method = 'refined',
     reference: str = topics.REFERENCE,
     namespace: str = f'/{topics.DEFAULT_NAMESPACE}',
@@ -151,6 +154,7 @@ def align_bag(
 
     Args:
         bag: Folder of the bag.
+        name: Name of the outcome, the figure and the copy; empty for that of the bag.
         method: As in `Recording.fit`.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics, with its leading slash.
@@ -158,7 +162,7 @@ def align_bag(
         rewrite: Folder for a copy of the bag on one clock.
         figures: Folder for the figure.
     """
-    began = time.perf_counter()
+    began, name = time.perf_counter(), name or bag.name
     edges_only = method == 'edges'
     try:
         recording = read_recording(bag, reference, namespace, edges_only=edges_only)
@@ -167,13 +171,12 @@ def align_bag(
         write_fit(fit, bag)
         took = time.perf_counter() - began
         if rewrite is not None:
-            rewrite.mkdir(parents=True, exist_ok=True)
-            rewrite_bag(bag, fit, rewrite / bag.name, reference, namespace)
+            rewrite_bag(bag, fit, rewrite / name, reference, namespace)
         if figures is not None and not edges_only:
-            draw_alignment(figures / f'{bag.name}.png', recording, fit, bag.name)
+            draw_alignment(figures / f'{name}.png', recording, fit, name)
     except MixtacError as error:
-        return BagOutcome(bag.name, None, str(error), time.perf_counter() - began)
-    return BagOutcome(bag.name, fit, '', took, recording.damage)
+        return BagOutcome(name, None, str(error), time.perf_counter() - began)
+    return BagOutcome(name, fit, '', took, recording.damage)
 
 
 def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) -> None:

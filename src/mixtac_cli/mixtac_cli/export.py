@@ -155,9 +155,9 @@ def _one_clock() -> ClockFit:
 def inspect(
     bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
 ) -> None:
-    """List the topics of a recording, decode all events and count lost packets.
+    """List the topics of a recording, read all of it, decode the events and count lost packets.
 
-    Exit status 1 if the recording is incomplete.
+    Exit status 1 if the recording is incomplete or damaged.
     """
     summary = summarise(bag)
     rows = []
@@ -167,7 +167,15 @@ def inspect(
         rows.append((topic, summary.types[topic], count, *counted))
     headings = ('topic', 'type', 'messages', 'events', 'lost packets')
     title = f'{bag}, {summary.duration_s:.1f} s'
-    Console().print(make_table(title, headings, rows, words=2))
+    console = Console()
+    console.print(make_table(title, headings, rows, words=2))
+    for topic, events in sorted(summary.events.items()):
+        for count, what in (
+            (events.backward_steps, 'steps back in time, by a reset of the clock or disorder'),
+            (events.outside, 'events outside of the sensor, left out'),
+        ):
+            if count:
+                console.print(f'warning: {topic}: {what}: {count}', style='yellow', markup=False)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 
@@ -182,7 +190,7 @@ def repair(
     """
     console = Console()
     if recording.suffix.lower() == AEDAT4_SUFFIX:
-        counts = export_recording(recording, 'aedat4', out)
+        counts = export_recording(recording, 'aedat4', out, whole=True)
         console.print(f'{out}: {counts.events} events, {counts.frames} frames')
         _warn(console, counts)
         return

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,15 +14,17 @@ import pytest
 
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
-from mixtac_alignment.bags import fit_path, read_fit, read_recording, sensor_of
+from mixtac_alignment.bags import read_fit, read_recording, rewrite_bag, sensor_of
 from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.align import align_bag
+from mixtac_cli.main import main
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges
 from mixtac_node import topics
-from mixtac_recordings.bag import BagFile, blank_message
+from mixtac_recordings.bag import BagFile, blank_message, custom_data, fit_path
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.messages import set_header
+from mixtac_recordings.recording import RecordingError
 from mixtac_recordings.stream_writer import StreamWriter
 
 if TYPE_CHECKING:
@@ -98,6 +101,47 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
     again = align_bag(bag, **options)
     assert again.fit is None
     assert 'new' in again.reason
+
+
+def test_bags_of_one_name_have_figures_and_copies_of_their_own(bag: Path, tmp_path: Path) -> None:
+    for folder in ('static', 'dynamic'):
+        shutil.copytree(bag, tmp_path / 'data' / folder / bag.name)
+    table, names = tmp_path / 'table.json', {'static_trial', 'dynamic_trial'}
+    copies, figures = tmp_path / 'copies', tmp_path / 'figures'
+    words = ['--no-pool', '--rewrite', str(copies), '--figure', str(figures), '--json', str(table)]
+    assert main(['align', *words, str(tmp_path / 'data')]) == 0
+    assert {each['bag'] for each in json.loads(table.read_text())} == names
+    assert {each.name for each in copies.iterdir()} == names
+    assert {each.stem for each in figures.iterdir()} == names
+
+
+def test_a_copy_that_fails_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch) -> None:
+    fit = align_bag(bag).fit
+    assert fit is not None
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(McapBag, 'write', interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        rewrite_bag(bag, fit, tmp_path / 'copy', topics.REFERENCE, '/mixtac')
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_copy_keeps_what_was_said_of_the_bag_and_has_no_fit_of_another(
+    bag: Path, tmp_path: Path
+) -> None:
+    fit, said = align_bag(bag).fit, {'mixtac.simulated': 'true'}
+    assert fit is not None
+    with McapBag(tmp_path / 'said') as writer:
+        writer.custom_data.update(said)
+    out = tmp_path / 'copy'
+    rewrite_bag(tmp_path / 'said', fit, out, topics.REFERENCE, '/mixtac')
+    assert custom_data(out) == said
+    shutil.rmtree(out)
+    fit_path(out).write_text('{}')
+    with pytest.raises(RecordingError):
+        rewrite_bag(tmp_path / 'said', fit, out, topics.REFERENCE, '/mixtac')
 
 
 def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: Path) -> None:

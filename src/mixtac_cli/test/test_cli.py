@@ -42,6 +42,14 @@ def test_help_lists_the_commands(ros_domain: dict[str, str], tmp_path: Path):
         assert command in result.stdout
 
 
+def test_help_is_shown_as_it_is_written(commands):
+    from rich.text import Text
+
+    for words, command in commands.items():
+        for text in (command.help, *(getattr(each, 'help', '') for each in command.params)):
+            assert Text.from_markup(text or '').plain == (text or ''), words
+
+
 def test_an_unknown_command_is_refused(ros_domain: dict[str, str], tmp_path: Path):
     assert_one_clear_line(mixtac(ros_domain, 'fly', cwd=tmp_path), 'fly')
 

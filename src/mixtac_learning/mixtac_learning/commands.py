@@ -55,7 +55,7 @@ def train(
     ] = None,
     trials: Annotated[int, typer.Option(min=1, help='Simulated trials to train on.')] = 96,
     gels: Annotated[int, typer.Option(min=1, help='Number of distinct simulated sensors.')] = 96,
-    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 8.0,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial (s).')] = 8.0,
     epochs: Annotated[
         int,
         typer.Option(min=1, help='Epochs of the recurrent stage; the other stages scale with it.'),
@@ -115,7 +115,7 @@ def evaluate(
         int, typer.Option(min=2, help='Random seed for the simulated sensors and trials.')
     ] = 2,
     gels: Annotated[int, typer.Option(min=1, help='Number of simulated sensors.')] = 3,
-    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 10.0,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial (s).')] = 10.0,
     preset: Preset = TRAINING_PRESET,
     reference: ReferenceTopic = REFERENCE,
     figures: Annotated[

@@ -10,11 +10,16 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import errno
+import fcntl
 import functools
 import json
 import os
 import re
 import secrets
+import shutil
+import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -87,17 +92,19 @@ def writable(path: Path | None) -> Path | None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
 
-    Makes the parent folder. When the block raises, `path` keeps what it held.
+    Makes the parent folder. When the block raises, `path` keeps what it held. A link stays one: the
+    file that it leads to is replaced.
 
     Raises:
         FileError: The file cannot be written.
     """
     writable(path)
-    scratch = path.with_name(f'.{path.stem}.{secrets.token_hex(4)}{path.suffix}')
+    target = Path(os.path.realpath(path))
+    scratch = target.with_name(f'.{target.stem}.{secrets.token_hex(4)}{path.suffix}')
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         yield scratch
-        scratch.replace(path)
+        scratch.replace(target)
     except OSError as error:
         reason = error.strerror or error
         raise FileError(
@@ -106,6 +113,72 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
+
+
+_UNFINISHED = '.unfinished-'
+_OLD_S = 60.0
+
+
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield the path of a folder to make, and move it to `path` on success.
+
+    Makes the parent folder. When the block raises, nothing is left; what a killed process left
+    beside `path` is removed by the next one.
+
+    Raises:
+        FileError: `path` exists, also when the block has ended, or cannot be written.
+    """
+    try:
+        if path.exists() or path.name in ('', '..'):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for left in path.parent.glob(f'{_UNFINISHED}*'):
+            _sweep(left)
+        scratch = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=path.parent))
+        try:
+            with locked(scratch):
+                yield scratch / path.name
+                (scratch / path.name).rename(path)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(
+            f'cannot write {path}: {reason}', remedy='choose a new folder with free space'
+        ) from error
+
+
+def _sweep(folder: Path) -> None:
+    """Remove an unfinished folder if it is old and its process has ended."""
+    with contextlib.suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _OLD_S:
+            with locked(folder, wait=False):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def locked(folder: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of a folder, which ends with the process, however that ends.
+
+    Args:
+        folder: It must exist.
+        wait: Wait for other processes, and go on without a lock where the file system has none;
+            otherwise both are errors.
+
+    Raises:
+        OSError: See above, or the folder cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        if wait:
+            with contextlib.suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        else:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
 
 
 def write_text(path: Path, text: str) -> None:

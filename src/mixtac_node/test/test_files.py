@@ -5,12 +5,17 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
 from mixtac_node.files import (
     FileError,
+    new_folder,
     read_dataclass,
     replacing,
     structure,
@@ -54,6 +59,66 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path):
         scratch.write_text(3)
     assert path.read_text() == 'old'
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_one_and_its_file_is_replaced(tmp_path):
+    (tmp_path / 'shared').mkdir()
+    link, file = tmp_path / 'data.txt', tmp_path / 'shared' / 'kept.txt'
+    link.symlink_to(file)
+    for text in ('new', 'newer'):
+        write_text(link, text)
+        assert link.is_symlink()
+        assert file.read_text() == text
+    assert list(file.parent.iterdir()) == [file]
+
+
+def fill_and_stop(path):
+    with new_folder(path) as made:
+        made.mkdir()
+        raise KeyboardInterrupt
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / 'new' / 'folder'
+    with new_folder(path) as made:
+        made.mkdir()
+        (made / 'file').write_text('content')
+        assert not path.exists()
+    assert (path / 'file').read_text() == 'content'
+    with pytest.raises(KeyboardInterrupt):
+        fill_and_stop(path.parent / 'other')
+    assert list(path.parent.iterdir()) == [path]
+    with pytest.raises(FileError) as caught, new_folder(path):
+        pass
+    assert caught.value.remedy
+
+
+UNFINISHED = """
+import sys, time
+from pathlib import Path
+from mixtac_node.files import new_folder
+with new_folder(Path(sys.argv[1])) as made:
+    made.mkdir()
+    print(made.parent, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_and_what_another_fills_is_not(tmp_path):
+    command = [sys.executable, '-c', UNFINISHED, str(tmp_path / 'other')]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout
+            left = process.stdout.readline().strip()
+            for number, running in enumerate((True, False)):
+                os.utime(left, (0, 0))
+                with new_folder(tmp_path / f'mine_{number}') as made:
+                    made.mkdir()
+                    assert Path(left).exists() == running
+                process.kill()
+                process.wait()
+        finally:
+            process.kill()
 
 
 def test_the_temporary_file_keeps_the_suffix(tmp_path):

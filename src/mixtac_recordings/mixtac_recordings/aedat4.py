@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -224,18 +225,21 @@ class Aedat4Recording:
         path: The file.
         selection: Which of its streams to read; None for the only one of each kind. Triggers of the
             camera that the events are from are always read.
+        whole: Leave out packets that are damaged, instead of failing.
 
     Attributes:
-        info: Its description.
+        info: Its description; its damage grows with each packet that is left out.
         counters: Losses found so far.
 
     Raises:
         RecordingError: It cannot be read, is empty, or the choice is ambiguous.
     """
 
-    def __init__(self, path: Path, selection: Selection | None = None) -> None:
+    def __init__(
+        self, path: Path, selection: Selection | None = None, *, whole: bool = False
+    ) -> None:
         self.counters = ReadCounters()
-        self._path = path
+        self._path, self._whole = path, whole
         self._file = Aedat4File(path)
         try:
             self._chosen = self._choose(selection or Selection())
@@ -260,7 +264,7 @@ class Aedat4Recording:
             from_us: Time to begin at [us]; earlier pieces may come first.
 
         Raises:
-            RecordingError: The file is damaged.
+            RecordingError: The file is damaged, and `whole` was not asked for.
         """
         readers: dict[str, Callable[[Octets], Iterator[Piece]]] = {
             'EVTS': self._events,
@@ -278,15 +282,19 @@ class Aedat4Recording:
         self, packets: NDArray[Any], reader: Callable[[Octets], Iterator[Piece]]
     ) -> Iterator[Piece]:
         for packet in packets:
-            data = self._file.packet(packet)
             try:
-                for piece in reader(data):
+                pieces = list(reader(self._file.packet(packet)))
+                for piece in pieces:
                     piece.check()
-                    yield piece
             except DamagedRecordingError as error:
-                raise self._file.damaged(str(error)) from error
+                if not self._whole:
+                    raise self._file.damaged(str(error)) from error
+                self._file.leave_out(int(packet['offset']) - 8, error)
+                self.info = replace(self.info, damage=self._file.damage)
             except RecordingError as error:
                 raise RecordingError(f'{self._path}: {error}') from error
+            else:
+                yield from pieces
 
     def _events(self, data: Octets) -> Iterator[Piece]:
         for events in read_events(data):

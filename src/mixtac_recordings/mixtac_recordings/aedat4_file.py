@@ -4,7 +4,8 @@
 
 A line of text, a header as a size-prefixed FlatBuffer, then packets: stream number and size
 (`int32` each) and a FlatBuffer of that size, compressed as a whole. Recorders write a table of all
-packets at the end. If it is missing or incomplete, the file is scanned up to its last whole packet
+packets at the end. If it is missing or incomplete, the file is scanned up to its last whole packet,
+without those that are damaged
 (https://docs.inivation.com/software/software-advanced-usage/file-formats/aedat-4.0.html).
 """
 
@@ -70,8 +71,8 @@ class Aedat4File:
 
     Attributes:
         streams: Its streams.
-        damage: What is missing because the file is incomplete; empty for a sound one. Known after
-            `index`.
+        damage: What is missing because the file is incomplete or damaged; empty for a sound one.
+            Known after `index`, but for packets that are left out later.
 
     Raises:
         RecordingError: It cannot be opened, is not an AEDAT4 file, or its header is damaged.
@@ -122,12 +123,14 @@ class Aedat4File:
         """Return the buffer of a packet, not compressed.
 
         Raises:
-            DamagedRecordingError: The file is damaged.
+            DamagedRecordingError: The packet is damaged.
         """
-        try:
-            return self._expanded(self._read(int(entry['offset']), int(entry['size'])))
-        except DamagedRecordingError as error:
-            raise self.damaged(str(error)) from error
+        return self._expanded(self._read(int(entry['offset']), int(entry['size'])))
+
+    def leave_out(self, at: int, why: object) -> None:
+        """Note that the packet whose header is at a byte is left out."""
+        note = f'packet at byte {at} left out ({why})'
+        self.damage = '; '.join(filter(None, (self.damage, note)))
 
     def _header(self) -> tuple[int, Octets]:
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -171,13 +174,18 @@ class Aedat4File:
         while offset < end:
             try:
                 stream, size = struct.unpack('<ii', self._read(offset, 8))
-                data = self._expanded(self._read(offset + 8, size))
-                times = packet_times(data, known.get(stream, ''))
+                packed = self._read(offset + 8, size)
             except DamagedRecordingError as error:
-                self.damage = f'the file was cut off at byte {offset} of {self._size} ({error})'
+                note = f'the file was cut off at byte {offset} of {self._size} ({error})'
+                self.damage = '; '.join(filter(None, (self.damage, note)))
                 break
-            if len(times):
-                found.append((stream, size, offset + 8, int(times[0]), int(times[-1])))
+            try:
+                times = packet_times(self._expanded(packed), known.get(stream, ''))
+            except DamagedRecordingError as error:
+                self.leave_out(offset, error)
+            else:
+                if len(times):
+                    found.append((stream, size, offset + 8, int(times[0]), int(times[-1])))
             offset += 8 + size
         return np.array(found, ENTRY)
 

@@ -9,7 +9,8 @@ its files are whole (`mixtac_recordings.recovery`).
 from __future__ import annotations
 
 import functools
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,6 +23,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
+from mixtac_node.files import FileError, read_data
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.recording import (
     BAG_SUFFIXES,
@@ -300,20 +302,63 @@ def _text(error: Exception) -> str:
     return ' '.join(str(error).split()) or type(error).__name__
 
 
+def custom_data(bag: Path) -> dict[str, str]:
+    """Return what metadata.yaml says of a bag by keys of its writer; empty if it cannot be read."""
+    try:
+        content = read_data(bag / 'metadata.yaml')['rosbag2_bagfile_information']['custom_data']
+        return {str(key): str(value) for key, value in content.items()}
+    except (FileError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def fit_path(bag: Path) -> Path:
+    """Return where the clock fit of a bag lies."""
+    return bag.with_name(f'{bag.name}.clock_fit.json')
+
+
+def check_new(bag: Path) -> None:
+    """Check that a bag can be made: a clock fit of an earlier one would count for it.
+
+    Raises:
+        RecordingError: The bag or a fit of its name exists.
+    """
+    if bag.exists():
+        raise RecordingError(f'{bag} exists', remedy='name a new folder')
+    if fit_path(bag).exists():
+        raise RecordingError(
+            f'{fit_path(bag)} is the clock fit of an earlier bag',
+            remedy='remove it, or name a new folder',
+        )
+
+
 def find_bags(path: Path, depth: int = 3) -> list[Path]:
     """Return a bag itself, or the bags in a folder and its folders in the order of their names.
 
-    A bag that was cut off has its data but no metadata.yaml; hidden folders are left out.
+    A bag that was cut off has its data but no metadata.yaml; hidden folders are left out. Bags have
+    names: those of `.` and `..` are looked up.
 
     Args:
         path: Bag, or folder.
         depth: Levels of folders to look into; 0 takes only a bag itself.
     """
     if path.is_file() or _holds_bag(path):
-        return [path]
+        return [path.resolve() if path.name in {'', '..'} else path]
     inside = sorted(path.iterdir()) if path.is_dir() and depth else ()
     folders = (each for each in inside if each.is_dir() and each.name[0] != '.')
     return [bag for each in folders for bag in find_bags(each, depth - 1)]
+
+
+def distinct_names(bags: Iterable[Path]) -> dict[Path, str]:
+    """Return a name of each bag: its own, with the folders above where several share it."""
+    parts = {bag: bag.absolute().parts for bag in bags}
+    names = {bag: each[-1] for bag, each in parts.items()}
+    for depth in range(2, max(map(len, parts.values()), default=0)):
+        counts = Counter(names.values())
+        names = {
+            bag: '_'.join(parts[bag][-depth:]) if counts[name] > 1 else name
+            for bag, name in names.items()
+        }
+    return names
 
 
 def _holds_bag(folder: Path) -> bool:

@@ -31,7 +31,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from mixtac_recordings.bag import BagFile, typestore
+from mixtac_node.files import new_folder
+from mixtac_recordings.bag import BagFile, check_new, custom_data, typestore
 from mixtac_recordings.recording import RecordingError
 
 QUEUE_SIZE = 20_000
@@ -202,24 +203,21 @@ def repair(path: Path, out: Path) -> Repair:
         out: New folder.
 
     Raises:
-        RecordingError: Nothing can be read, or the folder exists or cannot be written.
+        RecordingError: Nothing can be read, or the bag or a clock fit of its name exists.
+        FileError: It cannot be written.
     """
+    check_new(out)
     counts: dict[str, int] = {}
-    with BagFile(path, whole=True) as bag:
-        try:
-            with McapBag(out) as writer:
-                handles = {}
-                for connection in bag.connections:
-                    if connection.topic not in handles:
-                        handles[connection.topic] = writer.add_like(connection)
-                for topic, received_ns, data in bag.messages(*handles, raw=handles):
-                    writer.write(handles[topic], received_ns, data)
-                    counts[topic] = counts.get(topic, 0) + 1
-        except (WriterError, OSError) as error:
-            raise RecordingError(
-                f'cannot write {out}: {error}', remedy='choose a new folder with free space'
-            ) from error
-        return Repair(counts, bag.damage)
+    with BagFile(path, whole=True) as bag, new_folder(out) as made, McapBag(made) as writer:
+        writer.custom_data.update(custom_data(path))
+        handles = {}
+        for connection in bag.connections:
+            if connection.topic not in handles:
+                handles[connection.topic] = writer.add_like(connection)
+        for topic, received_ns, data in bag.messages(*handles, raw=handles):
+            writer.write(handles[topic], received_ns, data)
+            counts[topic] = counts.get(topic, 0) + 1
+    return Repair(counts, bag.damage)
 
 
 def offered_qos(*, latched: bool) -> Qos:
@@ -256,10 +254,11 @@ class BagWriter:
         dropped: Messages dropped because the disk was too slow, or has failed.
 
     Raises:
-        RecordingError: The folder exists already or cannot be made.
+        RecordingError: The folder or a clock fit of its name exists, or it cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
+        check_new(path)
         self.written: dict[str, int] = {}
         self.dropped = 0
         self._failure: Exception | None = None

@@ -51,6 +51,7 @@ class BagRecording:
     Args:
         path: Folder, or one .mcap or .db3 file.
         selection: Which of its topics to read; None for the only one of each kind.
+        whole: As in `BagFile`.
 
     Attributes:
         info: Its description.
@@ -60,10 +61,12 @@ class BagRecording:
         RecordingError: It cannot be read, holds no camera data, or the choice is ambiguous.
     """
 
-    def __init__(self, path: Path, selection: Selection | None = None) -> None:
+    def __init__(
+        self, path: Path, selection: Selection | None = None, *, whole: bool = False
+    ) -> None:
         self.counters = ReadCounters()
         self._path = path
-        self._bag = BagFile(path)
+        self._bag = BagFile(path, whole=whole)
         self._unreadable: dict[str, str] = {}
         self._decoder = StreamDecoder()
         self._seekable = True
@@ -273,12 +276,15 @@ def _check_packet(message: Any) -> None:  # noqa: ANN401
         )
 
 
-def open_recording(path: Path, selection: Selection | None = None) -> Recording:
+def open_recording(
+    path: Path, selection: Selection | None = None, *, whole: bool = False
+) -> Recording:
     """Open a recording.
 
     Args:
         path: An .aedat4, .mcap or .db3 file, or the folder of a bag.
         selection: Which of its topics to read; None for the only one of each kind.
+        whole: Leave out what is damaged, instead of failing, and note it in `info.damage`.
 
     Raises:
         RecordingError: There is none, it cannot be read, is empty, or the choice is ambiguous.
@@ -288,7 +294,7 @@ def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     if not path.exists():
         raise RecordingError(f'no recording at {path}', remedy=remedy)
     if path.suffix.lower() == AEDAT4_SUFFIX:
-        return Aedat4Recording(path, selection)
+        return Aedat4Recording(path, selection, whole=whole)
     if path.is_dir() or path.suffix in BAG_SUFFIXES:
-        return BagRecording(path, selection)
+        return BagRecording(path, selection, whole=whole)
     raise RecordingError(f'{path} is not a recording', remedy=remedy)

@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +12,7 @@ from typing import Any, Final
 import yaml
 
 from mixtac_events.errors import MixtacError
-from mixtac_node.files import FileError, read_data, structure, write_text
+from mixtac_node.files import FileError, locked, read_data, structure, write_text
 
 SPLITS: Final = ('train', 'test')
 
@@ -157,27 +154,14 @@ def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split:
         FileError: The file cannot be written.
     """
     path = bag.absolute().parent / FILE_NAME
-    # Another recording may end at the same moment.
-    with _locked(path.parent):
+    # Another recording may end at the same moment, beside the same file or a link to it.
+    with locked(path.resolve().parent):
         document = read_recordings(path)
         others = [each for each in document['trials'] if each['name'] != bag.name]
         entry = {'name': bag.name, 'profile': profile, 'split': split, **figures}
         document['trials'] = [*others, entry]
         write_text(path, yaml.safe_dump(document, sort_keys=False))
     return path
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Let other processes that change the file of a folder wait."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        # Not every file system of a network has locks.
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def read_recordings(path: Path) -> dict[str, Any]:
@@ -230,7 +214,5 @@ def described_trial(bag: Path) -> dict[str, Any]:
     try:
         trials = {each['name']: dict(each) for each in read_data(path)['trials']}
     except (FileError, KeyError, TypeError, ValueError) as error:
-        raise DatasetError(
-            f'{path} cannot be read ({error})', remedy='generate the data set again'
-        ) from error
+        raise DatasetError(f'{path} cannot be read ({error})', remedy='correct the file') from error
     return trials.get(bag.name, {})

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges, Frame, InertialSamples
+from mixtac_node.files import new_folder
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_node.topics import REFERENCE, REFERENCE_WRENCH
 from mixtac_recordings import aedat4
@@ -37,35 +38,6 @@ from mixtac_recordings.recording import (
     RecordingInfo,
     Selection,
 )
-
-
-@contextlib.contextmanager
-def new_folder(out: Path) -> Iterator[Path]:
-    """Yield the path of a folder to make, which is moved to its place at the end.
-
-    Nothing is left of it after an error, Ctrl-C included.
-
-    Args:
-        out: The new folder; its parents are made.
-
-    Raises:
-        RecordingError: It exists or cannot be written.
-    """
-    try:
-        if out.exists() or out.name == '..':
-            raise RecordingError(f'{out} exists', remedy='name a new folder')
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(
-            prefix='.unfinished-', dir=out.parent, ignore_cleanup_errors=True
-        ) as scratch:
-            # Below it: a temporary folder is closed to other users.
-            folder = Path(scratch) / out.name
-            yield folder
-            folder.rename(out)
-    except OSError as error:
-        raise RecordingError(
-            f'cannot write {out}: {error}', remedy='choose a new folder with free space'
-        ) from error
 
 
 class GrowingNpz:
@@ -512,6 +484,8 @@ def export_recording(
     out: Path,
     progress: Callable[[float], None] = lambda _done: None,
     selection: Selection | None = None,
+    *,
+    whole: bool = False,
 ) -> Counts:
     """Write a recording in another format, in constant memory, whole or not at all.
 
@@ -521,10 +495,12 @@ def export_recording(
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
         selection: Which of its topics or streams; None for the only one of each kind.
+        whole: As in `open_recording`.
 
     Raises:
-        RecordingError: The recording cannot be read, the choice is ambiguous, the folder exists or
-            cannot be written, or the format is unknown.
+        RecordingError: The recording cannot be read, the choice is ambiguous, or the format is
+            unknown.
+        FileError: The folder exists or cannot be written.
     """
     if kind not in FORMATS:
         raise RecordingError(
@@ -533,11 +509,10 @@ def export_recording(
     if kind == 'hdf5':
         load_h5py()
     with (
-        contextlib.closing(open_recording(path, selection)) as recording,
+        contextlib.closing(open_recording(path, selection, whole=whole)) as recording,
         new_folder(out) as folder,
     ):
-        info = recording.info
-        counts = Counts(size=(info.width, info.height), damage=info.damage, lost=recording.counters)
+        counts = Counts(size=(recording.info.width, recording.info.height), lost=recording.counters)
         folder.mkdir()
         sink = _sink(kind, folder, recording)
         try:
@@ -549,6 +524,8 @@ def export_recording(
             with contextlib.suppress(OSError):
                 sink.discard()
             raise
+        # More of it where damaged packets were left out.
+        counts.damage = recording.info.damage
     return counts
 
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Edges, Frame, InertialSamples
+from mixtac_node.files import new_folder
 from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
-from mixtac_recordings.bag import BagFile, find_bags
+from mixtac_recordings.bag import BagFile, check_new, find_bags
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.export import (
@@ -30,7 +31,6 @@ from mixtac_recordings.export import (
     PACKET_US,
     Counts,
     bag_wrenches,
-    new_folder,
     topic_file,
 )
 from mixtac_recordings.recording import (
@@ -100,9 +100,11 @@ def import_recording(
 
     Raises:
         RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, or the
-            bag cannot be written.
+            bag exists.
+        FileError: The bag cannot be written.
     """
     options = options or TableOptions()
+    check_new(out)
     with _open_camera(path, options, selection) as camera:
         wrenches = _wrenches(forces, options) if forces else camera.wrenches
         with new_folder(out) as folder, McapBag(folder) as bag:

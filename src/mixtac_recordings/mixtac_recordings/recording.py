@@ -176,28 +176,44 @@ class Recording(Protocol):
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
     """Yield pieces without the data before a time.
 
-    Once a recorded clock was reset, everything counts as later.
+    Once a recorded clock was reset, everything counts as later. What was recorded before the first
+    packet of the new clock comes after it.
 
     Args:
         pieces: Pieces in recorded order.
         from_us: The time [us, recorded camera clock].
     """
     skipping, latest_us = True, 0
+    held: list[Piece] = []
     for piece in pieces:
-        if skipping and piece.advances:
-            skipping = piece.start_us < from_us and piece.until_us >= latest_us - RESTART_US
-            latest_us = max(latest_us, piece.until_us)
-        if not skipping or piece.start_us >= from_us:
-            yield piece
-        elif piece.until_us >= from_us:
-            yield replace(
-                piece,
-                start_us=from_us,
-                events=piece.events[piece.events.t >= from_us],
-                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-                imu=piece.imu[piece.imu.t >= from_us],
-                edges=piece.edges[piece.edges.t >= from_us],
-            )
+        behind = piece.until_us < latest_us - RESTART_US
+        if not piece.advances:
+            if behind:
+                held.append(piece)
+            else:
+                yield from _from_time(piece, from_us, skipping=skipping)
+            continue
+        skipping = skipping and piece.start_us < from_us and not behind
+        latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
+        for each in (piece, *held):
+            yield from _from_time(each, from_us, skipping=skipping)
+        held.clear()
+    for each in held:
+        yield from _from_time(each, from_us, skipping=skipping)
+
+
+def _from_time(piece: Piece, from_us: int, *, skipping: bool) -> Iterator[Piece]:
+    if not skipping or piece.start_us >= from_us:
+        yield piece
+    elif piece.until_us >= from_us:
+        yield replace(
+            piece,
+            start_us=from_us,
+            events=piece.events[piece.events.t >= from_us],
+            frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+            imu=piece.imu[piece.imu.t >= from_us],
+            edges=piece.edges[piece.edges.t >= from_us],
+        )
 
 
 NONE = 'none'

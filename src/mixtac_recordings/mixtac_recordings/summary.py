@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import StreamDecoder
-from mixtac_events.packets import CodecError
+from mixtac_events.packets import CodecError, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node.topics import EVENTS
 from mixtac_recordings.aedat4 import read_events
@@ -40,6 +40,7 @@ class EventSummary:
         events: Number of events.
         duration_s: From the first to the last event, camera clock [s].
         backward_steps: Events that are older than the one before; 0 in a sound recording.
+        outside: Events outside of the sensor, left out.
     """
 
     packets: int
@@ -47,6 +48,7 @@ class EventSummary:
     events: int
     duration_s: float
     backward_steps: int
+    outside: int = 0
 
 
 @dataclass(frozen=True)
@@ -81,23 +83,18 @@ def summarise(path: Path) -> BagSummary:
     if path.suffix.lower() == AEDAT4_SUFFIX:
         return _summarise_aedat4(path)
     with BagFile(path) as bag:
-        events, notes = {}, [bag.damage] if bag.damage else []
-        for topic in bag.topics(EVENTS.type_name):
-            counter = SequenceCounter()
-            try:
-                found = _count(_packets(bag, topic, counter))
-            except (CodecError, DamagedRecordingError) as error:
-                notes.append(f'{topic}: {error}')
-                continue
-            events[topic] = EventSummary(counter.received, counter.lost, *found)
+        notes = [bag.damage] if bag.damage else []
+        counts = {topic: _PacketCount() for topic in bag.topics(EVENTS.type_name)}
+        try:
+            # All topics: only what is read shows its damage.
+            for topic, _, data in bag.messages(*bag.types, raw=bag.types):
+                if topic in counts:
+                    counts[topic].add_packet(data)
+        except DamagedRecordingError as error:
+            notes.append(str(error))
+        notes += [f'{topic}: {each.error}' for topic, each in counts.items() if each.error]
+        events = {topic: each.summary() for topic, each in counts.items() if not each.error}
         return BagSummary(bag.duration_ns / 1e9, bag.counts, bag.types, events, '; '.join(notes))
-
-
-def _packets(bag: BagFile, topic: str, counter: SequenceCounter) -> Iterable[Events]:
-    decoder = StreamDecoder()
-    for _, _, message in bag.messages(topic):
-        counter.update(message.seq)
-        yield decoder.decode(message).events
 
 
 def _summarise_aedat4(path: Path) -> BagSummary:
@@ -114,8 +111,12 @@ def _summarise_aedat4(path: Path) -> BagSummary:
             name = f'{kind} {stream.number}' if kinds[stream.identifier] > 1 else kind
             counts[name] = len(packets)
             types[name] = f'AEDAT4 stream {stream.name!r} of {stream.source}'
+            count = _EventCount(stream.width, stream.height)
+            for part in _events(file, packets, kind):
+                count.add(part)
             if kind == 'events':
-                events[name] = EventSummary(len(packets), 0, *_count(_stream(file, packets)))
+                figures = (count.events, count.duration_s, count.backward, count.outside)
+                events[name] = EventSummary(len(packets), 0, *figures)
         if not counts:
             raise RecordingError(
                 f'{path} holds no events, frames or inertial samples'
@@ -125,28 +126,68 @@ def _summarise_aedat4(path: Path) -> BagSummary:
         return BagSummary(length_us / 1e6, counts, types, events, file.damage)
 
 
-def _stream(file: Aedat4File, packets: NDArray[Any]) -> Iterable[Events]:
+def _events(file: Aedat4File, packets: NDArray[Any], kind: str) -> Iterator[Events]:
+    """Read all packets of a stream, and yield their events."""
     for packet in packets:
-        data = file.packet(packet)
         try:
-            for events in read_events(data):
-                Piece(int(events.t[0]), int(events.t[-1]), advances=True, events=events).check()
-                yield events
+            data = file.packet(packet)
+            parts = list(read_events(data)) if kind == 'events' else []
+            for part in parts:
+                Piece(int(part.t[0]), int(part.t[-1]), advances=True, events=part).check()
         except DamagedRecordingError as error:
-            raise file.damaged(str(error)) from error
+            file.leave_out(int(packet['offset']) - 8, error)
+        else:
+            yield from parts
 
 
-def _count(packets: Iterable[Events]) -> tuple[int, float, int]:
-    """Return the number of events, their duration [s] and the steps backwards in time."""
-    count = backward = 0
-    first_us = last_us = None
-    for events in packets:
+class _EventCount:
+    """Counts events, steps backwards in time, and events outside of a sensor of a known size."""
+
+    def __init__(self, width: int = 0, height: int = 0) -> None:
+        self._size = (width, height)
+        self.events = self.backward = self.outside = 0
+        self._span_us: tuple[int, int] | None = None
+
+    @property
+    def duration_s(self) -> float:
+        first_us, last_us = self._span_us or (0, 0)
+        return (last_us - first_us) / 1e6
+
+    def add(self, events: Events) -> None:
         if not len(events):
-            continue
-        count += len(events)
-        backward += int(np.count_nonzero(np.diff(events.t) < 0))
-        backward += last_us is not None and int(events.t[0]) < last_us
-        first_us = int(events.t[0]) if first_us is None else first_us
-        last_us = int(events.t[-1])
-    span_us = 0 if first_us is None or last_us is None else last_us - first_us
-    return count, span_us / 1e6, backward
+            return
+        first_us, last_us = self._span_us or (int(events.t[0]), int(events.t[0]))
+        width, height = self._size
+        outside = 0
+        if width and height:
+            outside = int(np.count_nonzero((events.x >= width) | (events.y >= height)))
+        self.outside += outside
+        self.events += len(events) - outside
+        self.backward += int(np.count_nonzero(np.diff(events.t, prepend=last_us) < 0))
+        self._span_us = first_us, int(events.t[-1])
+
+
+class _PacketCount(_EventCount):
+    """Counts serialised packets and their events, until one cannot be decoded."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.error = ''
+        self._decoder = StreamDecoder()
+        self._sequence = SequenceCounter()
+
+    def add_packet(self, data: bytes) -> None:
+        if self.error:
+            return
+        try:
+            packet = read_packet(data)
+            self._sequence.update(packet.seq)
+            self.add(self._decoder.decode(packet).events)
+        except CodecError as error:
+            self.error = str(error)
+
+    def summary(self) -> EventSummary:
+        sequence = self._sequence
+        return EventSummary(
+            sequence.received, sequence.lost, self.events, self.duration_s, self.backward
+        )

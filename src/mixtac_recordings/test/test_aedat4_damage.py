@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_samples import assert_equal, read, some_events
 
+from mixtac_events.arrays import Events
 from mixtac_recordings import aedat4, aedat4_file, recording
 from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
@@ -66,6 +67,25 @@ def test_what_a_packet_expands_to_is_bounded(tmp_path, monkeypatch):
     entry['offset'], entry['size'] = len(data) + 8, len(bomb)
     with contextlib.closing(file), pytest.raises(DamagedRecordingError):
         file.packet(entry)
+
+
+@pytest.mark.parametrize('counts', [True, False], ids=['by its table', 'scanned'])
+def test_a_damaged_packet_is_left_out_and_named(tmp_path, counts):
+    path = tmp_path / 'x.aedat4'
+    write(path, counts=counts)
+    with contextlib.closing(aedat4_file.Aedat4File(path)) as file:
+        entry = file.index()[4]
+    data = bytearray(path.read_bytes())
+    at = int(entry['offset'])
+    data[at : at + 4] = b'....'
+    path.write_bytes(data)
+    if counts:
+        with pytest.raises(DamagedRecordingError):
+            read(path)
+    with contextlib.closing(aedat4.Aedat4Recording(path, whole=True)) as found:
+        events = Events.concatenate([piece.events for piece in found.pieces(0)])
+        assert str(at - 8) in found.info.damage
+    assert_equal(events, Events.concatenate([EVENTS[: 4 * PACKET], EVENTS[5 * PACKET :]]))
 
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import array
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +13,18 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_node.topics import TOPICS, message_class
-from mixtac_recordings.bag import BagFile, blank_message, typestore
-from mixtac_recordings.bag_writer import BagWriter
+from mixtac_recordings.bag import (
+    BagFile,
+    blank_message,
+    custom_data,
+    distinct_names,
+    find_bags,
+    fit_path,
+    typestore,
+)
+from mixtac_recordings.bag_writer import BagWriter, McapBag, repair
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
 from mixtac_recordings.summary import summarise
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 EPOCH_US = 1_790_000_000_000_000
 topics_to_compare = sorted({topic.type_name for topic in TOPICS})
@@ -236,3 +241,82 @@ def test_array_type_of_ros_is_accepted_as_payload():
     assert decode(
         payload, 'libcaer_cmp', encoded.time_base, width=346, height=260
     ).events.t.tolist() == [5, 6]
+
+
+@pytest.mark.parametrize('backwards', [False, True])
+def test_a_clock_that_was_reset_shows_in_the_summary(tmp_path: Path, backwards):
+    store, kind = typestore(), 'event_camera_msgs/msg/EventPacket'
+    one = np.ones(1, np.uint16)
+    with McapBag(tmp_path / 'bag') as writer:
+        topic = writer.add_topic('/mixtac/events', kind, latched=False)
+        for index in range(4):
+            since = 5000 * index if index < 2 or not backwards else index
+            some = Events(np.array([EPOCH_US + since]), one, one, np.ones(1, bool))
+            writer.write(
+                topic, 10**9 + index, store.serialize_cdr(packet(store, index, some), kind)
+            )
+    assert summarise(tmp_path / 'bag').events['/mixtac/events'].backward_steps == backwards
+
+
+def test_damage_in_any_topic_shows_in_the_summary(bag: Path):
+    store, kind = typestore(), 'geometry_msgs/msg/WrenchStamped'
+    other = bag.with_name('other')
+    with McapBag(other) as writer:
+        topic = writer.add_topic('/mixtac/force', kind, latched=False)
+        writer.write(topic, 10**9, store.serialize_cdr(wrench(store, 10**9, 0.5), kind))
+    assert not summarise(other).damage
+    (path,) = other.glob('*.mcap')
+    data = bytearray(path.read_bytes())
+    data[data.index(np.array([0.5]).tobytes()) + 3] ^= 1
+    path.write_bytes(data)
+    assert summarise(other).damage
+
+
+def test_what_the_writer_of_a_bag_said_of_it_survives_a_repair(bag: Path, tmp_path: Path):
+    assert custom_data(bag) == custom_data(tmp_path / 'nowhere') == {}
+    said = {'mixtac.simulated': 'true', 'mixtac.trial': '{"profile": "press"}'}
+    with McapBag(tmp_path / 'said') as writer:
+        writer.custom_data.update(said)
+    repair(tmp_path / 'said', tmp_path / 'repaired')
+    assert custom_data(tmp_path / 'repaired') == said
+
+
+def test_the_clock_fit_of_an_earlier_bag_does_not_count_for_a_new_one(bag: Path, tmp_path: Path):
+    new = tmp_path / 'new'
+    fit_path(new).write_text('{}')
+    for make in (lambda out: BagWriter(out).close(), lambda out: repair(bag, out)):
+        with pytest.raises(RecordingError) as caught:
+            make(new)
+        assert str(fit_path(new)) in str(caught.value)
+        assert not new.exists()
+
+
+def test_a_repair_that_is_interrupted_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch):
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr(McapBag, 'write', interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        repair(bag, tmp_path / 'out')
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_bag_found_from_within_has_its_name(bag: Path, monkeypatch: pytest.MonkeyPatch):
+    for place, given in ((bag, '.'), (bag / 'below', '..')):
+        place.mkdir(exist_ok=True)
+        monkeypatch.chdir(place)
+        assert find_bags(Path(given)) == [bag.resolve()]
+
+
+def test_bags_are_named_after_as_many_folders_as_tell_them_apart():
+    paths = ['d/static/a', 'd/dynamic/a', 'd/b', 'e/x/a/c', 'f/x/a/c', 'e/x/a/c']
+    names = distinct_names(map(Path, paths))
+    assert [names[Path(each)] for each in paths] == [
+        'static_a',
+        'dynamic_a',
+        'b',
+        'e_x_a_c',
+        'f_x_a_c',
+        'e_x_a_c',
+    ]

@@ -37,10 +37,15 @@ def _record(path: Path, barrier: Any) -> None:
     add_recording(path, FIGURES, profile='', split='')
 
 
-def test_recordings_that_end_together_are_all_kept(tmp_path: Path):
+@pytest.mark.parametrize('linked', [False, True])
+def test_recordings_that_end_together_are_all_kept(tmp_path: Path, linked: bool):
     context = multiprocessing.get_context('fork')
     barrier, names = context.Barrier(4), [f'bag{k}' for k in range(4)]
-    ended = [context.Process(target=_record, args=(tmp_path / n, barrier)) for n in names]
+    bags = [tmp_path / name / name if linked else tmp_path / name for name in names]
+    for bag in bags if linked else ():
+        bag.parent.mkdir()
+        (bag.parent / 'dataset.yaml').symlink_to(tmp_path / 'dataset.yaml')
+    ended = [context.Process(target=_record, args=(bag, barrier)) for bag in bags]
     for each in ended:
         each.start()
     for each in ended:

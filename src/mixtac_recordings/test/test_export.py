@@ -21,6 +21,7 @@ from recording_samples import Bag, read, some_events
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import EdgeKind, Edges, Frame, InertialSamples
+from mixtac_node.files import FileError
 from mixtac_node.topics import REFERENCE_WRENCH
 from mixtac_recordings.aedat4 import events_packet, frame_packet, samples_packet
 from mixtac_recordings.aedat4_file import Aedat4File, Aedat4Writer
@@ -182,7 +183,7 @@ def test_buffers_are_aligned():
 def test_an_aedat4_file_can_be_exported_again(aedat4: Path, tmp_path: Path):
     counts = export_recording(aedat4, 'npz', tmp_path / 'out')
     assert (counts.events, counts.frames, counts.samples, counts.edges) == (3000, 3, 40, 3)
-    with pytest.raises(RecordingError):
+    with pytest.raises(FileError):
         export_recording(aedat4, 'npz', tmp_path / 'out')
     with pytest.raises(RecordingError):
         export_recording(aedat4, 'mat', tmp_path / 'other')

@@ -18,9 +18,10 @@ from recording_samples import write_aedat4
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame, InertialSamples
+from mixtac_node.files import FileError
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.aedat4 import events_packet, frame_packet
-from mixtac_recordings.bag import BagFile, find_bags
+from mixtac_recordings.bag import BagFile, find_bags, fit_path
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.dataset import folder_facts
 from mixtac_recordings.export import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink, export_recording
@@ -267,6 +268,13 @@ def test_a_unit_of_force_is_not_to_be_left_out(tmp_path: Path):
     assert 'leave' not in caught.value.remedy
 
 
+def test_the_clock_fit_of_an_earlier_bag_is_not_taken_over(tmp_path: Path):
+    fit_path(tmp_path / 'bag').write_text('{}')
+    with pytest.raises(RecordingError) as caught:
+        import_recording(tmp_path / 'any.csv', tmp_path / 'bag')
+    assert str(fit_path(tmp_path / 'bag')) in str(caught.value)
+
+
 def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
     path = tmp_path / 'events.npz'
     with path.open('wb') as file:
@@ -450,7 +458,7 @@ def test_upper_case_suffixes_are_known(tmp_path: Path):
 
 def test_a_place_above_a_new_folder_is_refused(tmp_path: Path):
     path = events_npz(tmp_path)
-    with pytest.raises(RecordingError):
+    with pytest.raises(FileError):
         import_recording(path, tmp_path / 'new' / '..')
     assert list(tmp_path.iterdir()) == [path]
 

@@ -158,6 +158,13 @@ class Listener(CommandNode):
             seconds, writer.dropped, self.simulated, self.serial, figures, writer.failure
         )
 
+    def destroy_node(self) -> None:
+        """Destroy the node; a bag that was not finished, because of an error, is now."""
+        try:
+            self.finish()
+        finally:
+            super().destroy_node()
+
     def _on_message(self, meter: TopicMeter, data: bytes) -> None:
         received_ns = time.time_ns()
         if not meter.add(received_ns, data):
@@ -198,9 +205,9 @@ class RecorderNode(Listener):
         self._output = Path(self._p.output)
         read_recordings(self._output.absolute().parent / FILE_NAME)
         self.listen(self._p.reference_topic, self._p.exclude.split())
-        self.start(self._output)
         self._failed = False
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
+        self.start(self._output)
 
     def close(self) -> None:
         """Finish the bag."""

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 from rich.console import Console
@@ -25,6 +27,7 @@ from mixtac_driver.doctor.computer import Finding, Level, ok
 from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
+from mixtac_recordings.bag import check_new
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
@@ -71,10 +74,9 @@ def record(
     json: JsonFile = None,
 ) -> None:
     """Check disk, topics and clocks, record the running sensor, and report the losses."""
-    if out.exists():
-        raise RecordingError(f'{out} exists', remedy='name a new folder')
+    check_new(out)
     read_recordings(out.absolute().parent / FILE_NAME)
-    console = Console()
+    console = Console(file=cast('TextIO', Display(sys.stdout)))
     with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
         listener.listen(reference_topic)
         _wait_for_packet(console, listener, wait, stopping)
@@ -86,7 +88,7 @@ def record(
         if check or stopping():
             return
         summary = _record(console, listener, out, seconds, stopping)
-    path = add_recording(out, summary.as_dict(), profile=profile, split=split)
+        path = add_recording(out, summary.as_dict(), profile=profile, split=split)
     console.print(f'{out}: {summary.seconds:.1f} s, {summary.verdict()}')
     console.print(f'described in {path}')
     write_json(json, summary.as_dict())
@@ -94,6 +96,41 @@ def record(
         raise RecordingError(
             f'{out} ends early: {summary.stopped}', remedy='free some space for the next one'
         )
+
+
+class Display:
+    """A stream of text that may break, with its terminal or its pipe: the rest goes nowhere then.
+
+    Args:
+        stream: The stream, of a file descriptor of its own.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        """Return what else the stream has."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text; return its length."""
+        with self._broken_is_silent():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Show what was written."""
+        with self._broken_is_silent():
+            self._stream.flush()
+
+    @contextlib.contextmanager
+    def _broken_is_silent(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            # What is still buffered, also at the end of the process, must go somewhere.
+            with Path(os.devnull).open('wb') as nowhere:
+                os.dup2(nowhere.fileno(), self._stream.fileno())
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from recording_samples import START_US, assert_equal, some_events
@@ -138,3 +139,22 @@ def test_from_time_counts_everything_after_a_reset_as_later():
     first, second = some_events(1, 100, 5000), some_events(2, 100, 5000, start_us=77)
     found = list(from_time([piece(first), piece(second)], START_US + 10**9))
     assert [each.start_us for each in found] == [77]
+
+
+@pytest.mark.parametrize('from_us', [0, START_US + 500])
+def test_what_precedes_the_first_packet_after_a_reset_follows_it(from_us):
+    early, late = 5_000_000, 5_001_500
+    before, after = some_events(1, 10, 1000), some_events(2, 10, 1000, start_us=early)
+    pieces = [piece(before), frame_at(early), piece(after), frame_at(late), frame_at(early - 1)]
+    timeline, steps = run(list(from_time(pieces, from_us)))
+    assert timeline.disorder.resets == 1
+    frames = [
+        (step.decoded.frames[0].middle_us, step.offset_us) for step in steps if step.decoded.frames
+    ]
+    assert [t_us for t_us, _ in frames] == [early, late, early - 1]
+    assert {offset_us for _, offset_us in frames} == {timeline.offset_us}
+
+
+def test_a_frame_after_the_last_packet_is_not_lost_where_its_clock_was_reset():
+    found = list(from_time([piece(some_events(1, 10, 1000)), frame_at(77)], 0))
+    assert len(found[-1].frames) == 1

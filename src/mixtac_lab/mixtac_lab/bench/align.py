@@ -281,7 +281,7 @@ class Scores:
 def align(
     trials: Annotated[int, typer.Option(min=1, help='Number of simulated trials.')] = 200,
     damaged: Annotated[int, typer.Option(min=0, help='Number of damaged trials.')] = 100,
-    seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial [s].')] = LENGTH_S,
+    seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial (s).')] = LENGTH_S,
     cache: Annotated[OptionalPath, typer.Option(help='Folder for simulated recordings.')] = None,
     report: JsonFile = None,
 ) -> None:

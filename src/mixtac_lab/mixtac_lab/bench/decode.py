@@ -225,10 +225,10 @@ def _table(figures: dict[str, Any]) -> Table:
 def decode(
     json: JsonFile = None,
     seconds: Annotated[
-        float, typer.Option(min=0, help='Time for each of seven streams [s].')
+        float, typer.Option(min=0, help='Time for each of seven streams (s).')
     ] = 1.5,
     megabytes: Annotated[
-        int, typer.Option(min=1, help='Size of each stream [MiB]; more than the caches hold.')
+        int, typer.Option(min=1, help='Size of each stream (MiB); more than the caches hold.')
     ] = 128,
 ) -> None:
     """Measure the decoding speed of events and frames, relative to a copy of the same bytes."""

@@ -222,7 +222,7 @@ def _feed_image(feed: LiveFeed, frame: Frame) -> None:
 
 def infer(
     model: ModelName = DEFAULT_MODEL,
-    seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run [s].')] = 20.0,
+    seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run (s).')] = 20.0,
     preset: Preset = 'paper_like',
     json: JsonFile = None,
 ) -> None:

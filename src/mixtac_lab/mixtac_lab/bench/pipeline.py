@@ -188,9 +188,9 @@ def summarise_pipeline(
 
 
 def pipeline(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s [s].')] = 30,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s (s).')] = 30,
     loss_seconds: Annotated[
-        float, typer.Option(min=2, help='Length of the run at 5 Mev/s [s].')
+        float, typer.Option(min=2, help='Length of the run at 5 Mev/s (s).')
     ] = 60,
     json: JsonFile = None,
 ) -> None:
@@ -240,7 +240,7 @@ class Kind(Enum):
 
 
 def compose(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of each run [s].')] = 20,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of each run (s).')] = 20,
     repeats: Annotated[int, typer.Option(min=1, help='Runs of each kind, alternating.')] = 3,
     rate: Annotated[float, typer.Option(min=1000, help='Events per second.')] = AGE_RATE,
     only: Annotated[
@@ -337,7 +337,7 @@ def _runs_table(runs: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def two_sensors(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of the measurement [s].')] = 20,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the measurement (s).')] = 20,
     single_process: Annotated[
         bool, typer.Option(help='Run each driver and its estimator in one process.')
     ] = False,

@@ -187,7 +187,7 @@ STAGE_S: Final = 8.0
 
 def simulate(
     json: JsonFile = None,
-    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial [s].')] = 25.0,
+    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial (s).')] = 25.0,
     preset: Preset = 'paper_like',
 ) -> None:
     """Measure the speed of the virtual sensor: full chain with USB on one core, bags on two."""

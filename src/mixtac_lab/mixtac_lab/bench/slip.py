@@ -228,7 +228,7 @@ def slip(
         int, typer.Option(min=4, help='Number of trials with the box at each margin.')
     ] = 100,
     knock: Annotated[
-        float, typer.Option(help='Speed of the object after the knock [mm/s].')
+        float, typer.Option(help='Speed of the object after the knock (mm/s).')
     ] = 50.0,
     margin: Annotated[
         float | None,
@@ -238,30 +238,30 @@ def slip(
         ),
     ] = None,
     wait: Annotated[
-        float, typer.Option(help='Time that the grip margin has to act before the knock [s].')
+        float, typer.Option(help='Time that the grip margin has to act before the knock (s).')
     ] = 0.0,
     off_axis: Annotated[
         float | None,
         typer.Option(
             min=0.0,
             max=4.0,
-            help='Distance of the contact from the optical axis [mm]; by default that of the day.',
+            help='Distance of the contact from the optical axis (mm); by default that of the day.',
         ),
     ] = None,
     force: Annotated[
         Force, typer.Option(help="The sensor's own force, or the true one with noise of 30 mN.")
     ] = 'estimated',
     lag: Annotated[
-        float, typer.Option(help='Time constant with which the arm follows its commands [s].')
+        float, typer.Option(help='Time constant with which the arm follows its commands (s).')
     ] = 3.5e-3,
     lead: Annotated[
         float,
         typer.Option(
-            min=2e-3, max=0.2, help='Lead of the trajectories [s]; below 0.006 the arm reports.'
+            min=2e-3, max=0.2, help='Lead of the trajectories (s); below 0.006 the arm reports.'
         ),
     ] = SlipControlParameters.lead,
     quiet_minutes: Annotated[
-        float, typer.Option(help='Length of each scene without slip [min]; 0 for none.')
+        float, typer.Option(help='Length of each scene without slip (min); 0 for none.')
     ] = 30.0,
     loads: Annotated[
         int,
@@ -271,7 +271,7 @@ def slip(
         int, typer.Option(help='Slips per speed for the latency curves; 0 for none.')
     ] = 40,
     dds_seconds: Annotated[
-        float, typer.Option(help='Length of the measurement over DDS [s]; 0 for none.')
+        float, typer.Option(help='Length of the measurement over DDS (s); 0 for none.')
     ] = 330.0,
     together: Annotated[
         bool,

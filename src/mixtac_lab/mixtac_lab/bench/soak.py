@@ -166,9 +166,9 @@ def slopes(samples: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float]
 
 
 def soak(
-    hours: Annotated[float, typer.Option(min=0.005, help='Length of the run [h].')] = 1.0,
+    hours: Annotated[float, typer.Option(min=0.005, help='Length of the run (h).')] = 1.0,
     rate: Annotated[float, typer.Option(min=1000, help='Events per second.')] = AGE_RATE,
-    period: Annotated[float, typer.Option(min=1, help='Time between samples [s].')] = 5.0,
+    period: Annotated[float, typer.Option(min=1, help='Time between samples (s).')] = 5.0,
     figure: Annotated[OptionalPath, typer.Option(help='Draw the figures to this picture.')] = None,
     json: JsonFile = None,
 ) -> None:

@@ -45,6 +45,7 @@ from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource, Recipe, prepare, read_arrays, write_arrays
 from mixtac_learning.trials.trial import TrialSource
+from mixtac_recordings.bag import fit_path
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import TrialSpec, simulator_digest, training_plan
 
@@ -355,7 +356,7 @@ def _judge(base: Path, source: TrialSource, weights: Mapping[str, str]) -> dict[
 
 def _bag_files(bag: Path) -> list[Path]:
     """Return the files of a bag and its clock fit."""
-    fit = bag.with_name(f'{bag.name}.clock_fit.json')
+    fit = fit_path(bag)
     return [*sorted(bag.iterdir()), *([fit] if fit.exists() else [])]
 
 

@@ -33,9 +33,10 @@ from mixtac_learning.judge.report import (
 from mixtac_learning.judge.robustness import robustness
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.trial import TrialSource
+from mixtac_learning.trials.trial import DatasetError, TrialSource
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
+from mixtac_recordings.bag import distinct_names
 from mixtac_sim.world.training_trials import (
     TRAINING_PRESET,
     TrialSpec,
@@ -89,12 +90,18 @@ def run_evaluation(
     content: dict[str, Any] = {'model': str(path)}
     sources: Sequence[TrialSource]
     if bags:
+        found = [(source, each) for each in bags for source in bag_sources(each, reference)]
+        names = distinct_names(source.path for source, _ in found)
         chosen_bags = [
-            replace(source, incomplete=True)
-            for folder in bags
-            for source in bag_sources(folder, reference)
-            if source.path == folder or source.origin.get('split', 'test') == 'test'
+            replace(source, incomplete=True, shown=names[source.path])
+            for source, named in found
+            if source.path.resolve() == named.resolve()
+            or source.origin.get('split', 'test') == 'test'
         ]
+        if not chosen_bags:
+            raise DatasetError(
+                f'all {len(found)} bags are of the train split', remedy='name a bag itself'
+            )
         _warn_of_trained(model, chosen_bags)
         sources = chosen_bags
         judged = judge_sources(estimator, track(sources, 'judging', transient=True))
@@ -135,7 +142,7 @@ def run_evaluation(
 def _warn_of_trained(model: Model, bags: Sequence[BagSource]) -> None:
     training = model.card.training
     known = {*training.get('bags', ()), *training.get(ADAPTED_KEY, {}).get('bags', ())}
-    trained = [bag.name for bag in bags if bag.name in known]
+    trained = [bag.name for bag in bags if bag.path.name in known]
     if trained:
         names = ', '.join(trained)
         print(f'warning: the model was trained on bags of these names: {names}', file=sys.stderr)

@@ -99,9 +99,9 @@ def read_forces(
         DatasetError: It has neither a true force nor a reference that can be aligned.
         AlignmentError: A clock fit beside it or inside is damaged.
     """
-    from mixtac_alignment.bags import fit_path, read_fit
+    from mixtac_alignment.bags import read_fit
     from mixtac_node.stamps import stamp_to_ns
-    from mixtac_recordings.bag import BagFile
+    from mixtac_recordings.bag import BagFile, fit_path
     from mixtac_recordings.recording import DamagedRecordingError
 
     forces: dict[bool, list[tuple[int, float]]] = {False: [], True: []}
@@ -165,12 +165,14 @@ class BagSource:
         reference: Topic of the reference force.
         described: Facts from a description of the bag: profile, device_seed and so on.
         incomplete: Take what is whole of a bag that was cut off.
+        shown: Name of the trial; empty for that of the folder.
     """
 
     path: Path
     reference: str = REFERENCE
     described: dict[str, Any] = field(default_factory=dict, hash=False)
     incomplete: bool = False
+    shown: str = ''
 
     def damage(self) -> str:
         """Return what is missing of the bag; empty for a sound one.
@@ -185,8 +187,8 @@ class BagSource:
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
-        return self.path.name
+        """Name of the trial."""
+        return self.shown or self.path.name
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -199,9 +201,11 @@ class BagSource:
         Raises:
             DatasetError: They cannot be read.
         """
+        from mixtac_recordings.bag import fit_path
+
         digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
         digest.update(json.dumps(self.described, sort_keys=True, default=str).encode())
-        fit = self.path.with_name(f'{self.path.name}.clock_fit.json')
+        fit = fit_path(self.path)
         try:
             files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
             for path in [*files, *([fit] if fit.exists() else [])]:
@@ -304,12 +308,10 @@ def _known(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _inside(bag: Path) -> dict[str, Any]:
-    import yaml
+    from mixtac_recordings.bag import custom_data
 
     try:
-        metadata = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
-        custom = metadata['rosbag2_bagfile_information']['custom_data']
-        return dict(json.loads(custom['mixtac.trial']))
-    except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError):
+        return dict(json.loads(custom_data(bag)['mixtac.trial']))
+    except (ValueError, KeyError, TypeError):
         # Other bags have no such entry; a damaged bag is reported when it is loaded.
         return {}

@@ -7,8 +7,6 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import os
-import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays, TrialSource
+from mixtac_node.files import FileError, new_folder
 
 _FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
 _EVENTS = ('events_t', 'events_x', 'events_y', 'events_polarity')
@@ -93,23 +92,17 @@ def write_arrays(
         facts_file: File of the facts in the folder.
 
     Raises:
-        DatasetError: It cannot be written.
+        FileError: It cannot be written.
     """
-    partial = path.with_name(f'{path.name}.{os.getpid()}.partial')
-    shutil.rmtree(partial, ignore_errors=True)
     try:
-        partial.mkdir(parents=True)
-        for name, array in arrays.items():
-            np.save(partial / f'{name}.npy', array, allow_pickle=False)
-        (partial / facts_file).write_text(json.dumps(facts), encoding='utf-8')
-        partial.rename(path)
-    except OSError as error:
+        with new_folder(path) as folder:
+            folder.mkdir()
+            for name, array in arrays.items():
+                np.save(folder / f'{name}.npy', array, allow_pickle=False)
+            (folder / facts_file).write_text(json.dumps(facts), encoding='utf-8')
+    except FileError:
         if not path.is_dir():
-            raise DatasetError(
-                f'{path} cannot be written ({error})', remedy='free some disk space'
-            ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+            raise
 
 
 def read_arrays(

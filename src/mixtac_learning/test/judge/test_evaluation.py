@@ -25,16 +25,22 @@ class Source:
     trial: TrialArrays
     origin: dict[str, str]
     incomplete: bool = False
+    shown: str = ''
 
     @property
     def name(self) -> str:
-        return self.path.name
+        return self.shown or self.path.name
 
     def load(self) -> TrialArrays:
-        return replace(self.trial, origin=self.origin)
+        return replace(self.trial, origin={**self.origin, 'name': self.name})
 
     def damage(self) -> str:
         return '' if self.name != 'b' else 'its end is missing'
+
+
+def sources_of(*bags: tuple[str, str], trial: TrialArrays):
+    """Return what finds bags of these names and splits in every folder."""
+    return lambda folder, _: [Source(folder / n, trial, {'split': split}) for n, split in bags]
 
 
 def test_a_bag_that_is_named_is_judged_whatever_its_split(
@@ -66,3 +72,27 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(
     assert len(rows) == 1 + np.count_nonzero(found['trial'] == 'one.bag')
     with pytest.raises(DatasetError):
         evaluation.run_evaluation(path, bags, series=tmp_path / 'forces.txt')
+
+
+def test_bags_of_one_name_are_told_apart_by_their_folders(model, trial, tmp_path, monkeypatch):
+    sources = sources_of(('static/a', 'test'), ('dynamic/a', 'test'), ('b', 'test'), trial=trial)
+    monkeypatch.setattr(evaluation, 'bag_sources', sources)
+    path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
+    write_model(path, model)
+    series = tmp_path / 'forces.npz'
+    evaluation.run_evaluation(path, [tmp_path], json=out, series=series)
+    assert json.loads(out.read_text())['bags'] == ['static_a', 'dynamic_a', 'b']
+    assert set(np.load(series)['trial']) == {'static_a', 'dynamic_a', 'b'}
+
+
+def test_a_folder_of_training_bags_is_refused_with_their_number(
+    model, trial, tmp_path, monkeypatch
+):
+    sources = sources_of(('a', 'train'), ('b', 'train'), trial=trial)
+    monkeypatch.setattr(evaluation, 'bag_sources', sources)
+    path = tmp_path / 'm.safetensors'
+    write_model(path, model)
+    with pytest.raises(DatasetError) as caught:
+        evaluation.run_evaluation(path, [tmp_path])
+    assert ' 2 ' in str(caught.value)
+    assert caught.value.remedy

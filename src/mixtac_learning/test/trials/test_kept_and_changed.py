@@ -15,6 +15,7 @@ from mixtac_learning.paper.samples import event_counts, packet_points
 from mixtac_learning.trials.changes import DEAD, LATE_US, MISMATCHES, ChangedSource
 from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+from mixtac_node.files import FileError
 
 
 @pytest.fixture
@@ -73,7 +74,7 @@ def test_a_trial_may_be_kept_twice_at_a_time(arrays, tmp_path):
 
 def test_a_trial_that_cannot_be_kept_is_named(arrays, tmp_path):
     (tmp_path / 'file').touch()
-    with pytest.raises(DatasetError):
+    with pytest.raises(FileError):
         CachedSource(Source(arrays), tmp_path / 'file').load()
 
 

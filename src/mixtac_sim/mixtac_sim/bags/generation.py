@@ -53,7 +53,8 @@ def _client(jobs: int, scheduler: str) -> Any:  # noqa: ANN401
         from dask.distributed import Client
     except ImportError as error:
         raise RecordingError(
-            f'backend dask is not installed: {error}', remedy='pip install "dask[distributed]"'
+            f'backend dask is not installed: {error}',
+            remedy='pip install -r requirements/cluster.txt',
         ) from error
     try:
         if scheduler:
@@ -96,7 +97,7 @@ def generate(
         RecordingError: The folder holds something else, is in use, or cannot be written.
         SimulationError: A trial cannot be simulated.
     """
-    with _exclusive(folder):
+    with workers(backend, jobs, scheduler), _exclusive(folder):
         _claim(folder, description)
         waiting = [each for each in description.trials if not is_finished(folder, each.name)]
         total = len(description.trials)
@@ -106,10 +107,9 @@ def generate(
                 joblib.delayed(write_trial)(spec, folder, compress=compress) for spec in waiting
             ]
             try:
-                with workers(backend, jobs, scheduler):
-                    written = joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
-                    for done, _ in enumerate(written, total - len(waiting) + 1):
-                        on_progress(done, total)
+                written = joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
+                for done, _ in enumerate(written, total - len(waiting) + 1):
+                    on_progress(done, total)
             except TerminatedWorkerError as error:
                 raise RecordingError(
                     'a worker process was killed, probably out of memory; finished bags are kept',

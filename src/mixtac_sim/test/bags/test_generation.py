@@ -48,6 +48,13 @@ def test_a_data_set_is_its_bags_and_its_description(whole):
     assert DatasetDescription.read(whole).complete
 
 
+def test_an_unknown_backend_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(RecordingError) as caught:
+        generate(description(), tmp_path / 'set', backend='spark')
+    assert caught.value.remedy
+    assert not (tmp_path / 'set').exists()
+
+
 @pytest.mark.parametrize('backend', ['loky', 'dask'])
 def test_processes_write_the_same_bytes(whole, tmp_path, backend):
     if backend == 'dask':

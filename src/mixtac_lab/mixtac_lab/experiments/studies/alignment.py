@@ -106,7 +106,7 @@ def _rated(rate: float, offset_us: float, trial: Trial) -> Map:
 def alignment(
     trials: Annotated[int, typer.Option(min=4, help='Number of training trials.')] = 16,
     checks: Annotated[int, typer.Option(min=1, help='Number of test trials.')] = 4,
-    seconds: Annotated[float, typer.Option(min=10, help='Length of a trial [s].')] = 12.0,
+    seconds: Annotated[float, typer.Option(min=10, help='Length of a trial (s).')] = 12.0,
     epochs: Annotated[int, typer.Option(min=1, help='Epochs of the recurrent stage.')] = 30,
     seeds: Annotated[int, typer.Option(min=1, help='Number of trainings per kind of clock.')] = 2,
     preset: Preset = PRESET,

@@ -239,7 +239,7 @@ def contact_place(
     model: ModelName = DEFAULT_MODEL,
     sensors: Annotated[int, typer.Option(help='Number of unseen sensors.')] = 12,
     object_radius: Annotated[
-        float, typer.Option(help='Radius of curvature that the sensor is told [mm]; 0 for none.')
+        float, typer.Option(help='Radius of curvature that the sensor is told (mm); 0 for none.')
     ] = 9.0,
     quick: Annotated[bool, typer.Option('--quick', help='Three sensors.')] = False,
     json: JsonFile = None,

@@ -291,7 +291,7 @@ def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> flo
 
 
 Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
-Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial [s].')]
+Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial (s).')]
 Seed = Annotated[int, typer.Option(min=3, help='Random seed of sensors and days.')]
 LESSONS = 4
 """Trials of a sensor to which its event integrator is fitted."""
