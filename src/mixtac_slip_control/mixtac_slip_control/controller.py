@@ -372,7 +372,7 @@ class SlipController:
             self._planner.reset(joints, self._normal, self._parameters.max_total)
             self._advance.start()
             self.following.start(now_s + settling_s, np.array(measured), commanded)
-        except SlipControlError:
+        except BaseException:
             self.interlock.disable()
             raise
         self._settling = (now_s, now_s + settling_s)

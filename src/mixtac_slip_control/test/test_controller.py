@@ -368,6 +368,18 @@ def test_the_normal_may_follow_from_the_joints() -> None:
     assert rig.planner.resets[0][1] == (-0.8, 0.0, 1.0)
 
 
+def test_whatever_fails_while_it_is_enabled_leaves_it_disabled() -> None:
+    rig = Rig()
+    normals = iter([np.array([0.0, 0.0, 1.0])])
+    rig.controller = SlipController(chosen(), rig.planner, lambda _q: next(normals))
+    rig.enabled()
+    rig.controller.disable()
+    with pytest.raises(StopIteration):
+        rig.controller.enable(rig.now)
+    assert rig.controller.interlock.state is InterlockState.DISABLED
+    assert not rig.step(800).enabled
+
+
 def test_it_starts_from_commanded_positions_where_they_are_known() -> None:
     rig = Rig(max_total=5e-4).learned()
     commanded = np.array(READY) + 1e-3
