@@ -268,6 +268,11 @@ class SlipControlParameters:
                     f'parameter {name} = {seconds:g} s: give at least {fewest} windows of '
                     f'{self.window:g} s'
                 )
+        if self.max_events_age < 3.0 * self.window:
+            raise ParameterError(
+                f'parameter max_events_age = {self.max_events_age:g} s: give at least three times '
+                f'window = {self.window:g} s'
+            )
         if self.lead < 2.0 * self.controller_period:
             raise ParameterError(
                 f'parameter lead = {self.lead:g} s: give at least two of controller_period = '
