@@ -45,8 +45,8 @@ WITHOUT_KEY = {
     'pylibfranka': '',
 }
 """Modules without a key, and the file that pip installs them from; empty for the robot's own."""
-OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
-"""Used where present (cv_bridge, hdf5plugin, Python 3.14), or a part of another (numba)."""
+OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite', 'mujoco'}
+"""Used where present (cv_bridge, hdf5plugin, Python 3.14, mujoco), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:
@@ -61,6 +61,12 @@ def imported(package: str) -> set[str]:
                 found |= {alias.name.partition('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition('.')[0])
+            elif isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'import_module':
+                found |= {
+                    str(each.value).partition('.')[0]
+                    for each in node.args
+                    if isinstance(each, ast.Constant)
+                }
     return found - set(sys.stdlib_module_names) - {package, '__future__'} - OPTIONAL
 
 

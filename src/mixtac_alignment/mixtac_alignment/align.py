@@ -10,7 +10,6 @@ recordings hold the same number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Literal
@@ -128,16 +127,16 @@ TRIED, NEIGHBOURS = 20, 8
 by which the likeliest partners, as many, are found: trying all pairs takes minutes."""
 
 
-def arrived_together(camera_ns: Sequence[int], reference_ns: Sequence[int]) -> bool:
+def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int64]) -> bool:
     """Return whether edges of both clocks arrived in pairs: then the pairs are the same edges.
 
     Args:
-        camera_ns: When the edges of the camera arrived, in this order [ns], any clock.
+        camera_ns: When the edges of the camera arrived, in this order [ns], any clock, int64 [n].
         reference_ns: When those of the reference arrived, same clock.
     """
     if len(camera_ns) != len(reference_ns) or len(camera_ns) < FEWEST_EDGES:
         return False
-    apart = np.abs(np.subtract(camera_ns, reference_ns)).max()
+    apart = np.abs(camera_ns - reference_ns).max()
     return bool(2 * apart < min(np.diff(camera_ns).min(), np.diff(reference_ns).min()))
 
 

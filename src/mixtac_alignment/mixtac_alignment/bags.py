@@ -208,7 +208,7 @@ def read_recording(
         edges_us=np.array(edges, np.int64),
         reference_edges_s=np.array(reference_edges),
         damage=bag.damage,
-        all_edges=arrived_together(*arrived),
+        all_edges=arrived_together(*(np.array(each, np.int64) for each in arrived)),
     )
 
 
