@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+TOPICS = ROOT / 'src' / 'mixtac_node' / 'mixtac_node' / 'topics.py'
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
 KEYS = {
     'cv2': 'python3-opencv',
@@ -67,6 +68,9 @@ def imported(package: str) -> set[str]:
                     for each in node.args
                     if isinstance(each, ast.Constant)
                 }
+    if package == 'mixtac_node':
+        # Its table of topics names the messages of all nodes.
+        found |= set(re.findall(r"'(\w+)/msg/\w+'", TOPICS.read_text()))
     return found - set(sys.stdlib_module_names) - {package, '__future__'} - OPTIONAL
 
 
