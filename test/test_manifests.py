@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+TOPICS = ROOT / 'src' / 'mixtac_node' / 'mixtac_node' / 'topics.py'
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
 KEYS = {
     'cv2': 'python3-opencv',
@@ -48,8 +49,8 @@ WITHOUT_KEY = {
     'pylibfranka': '',
 }
 """Modules without a key, and the file that pip installs them from; empty for the robot's own."""
-OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
-"""Used where present (cv_bridge, hdf5plugin, Python 3.14), or a part of another (numba)."""
+OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite', 'mujoco'}
+"""Used where present (cv_bridge, hdf5plugin, Python 3.14, mujoco), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:
@@ -57,7 +58,11 @@ def imported(package: str) -> set[str]:
     modules = [*(ROOT / 'src' / package / package).rglob('*.py')]
     if package == 'mixtac_bringup':
         modules += (ROOT / 'launch').glob('*.py')
-    return imports(modules) - {package}
+    found = imports(modules)
+    if package == 'mixtac_node':
+        # Its table of topics names the messages of all nodes.
+        found |= set(re.findall(r"'(\w+)/msg/\w+'", TOPICS.read_text()))
+    return found - {package}
 
 
 def imports(modules: Iterable[Path]) -> set[str]:
@@ -68,6 +73,12 @@ def imports(modules: Iterable[Path]) -> set[str]:
                 found |= {alias.name.partition('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition('.')[0])
+            elif isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'import_module':
+                found |= {
+                    str(each.value).partition('.')[0]
+                    for each in node.args
+                    if isinstance(each, ast.Constant)
+                }
     return found - set(sys.stdlib_module_names) - {'__future__'} - OPTIONAL
 
 
@@ -113,8 +124,6 @@ def test_what_is_declared_is_imported(package):
     started = {'ros2launch', 'ros2bag', 'rosbag2_storage_mcap'}
     # These two start the nodes of other packages.
     started = started | set(PACKAGES) if package in {'mixtac_bringup', 'mixtac_cli'} else set()
-    # Message classes are imported by the names of their types (`mixtac_node.topics`).
-    started |= {'event_camera_msgs', 'mixtac_msgs', 'control_msgs'}
     used = {KEYS.get(name, name) for name in imported(package)} | started
     assert sorted(declared(package) - used) == []
 

@@ -44,7 +44,7 @@ class Recording:
         force: Its normal force [N], of either sign.
         edges_us: Edges at the camera's synchronisation input, camera clock [us].
         reference_edges_s: The same edges on the reference clock [s].
-        all_edges: Whether no edge came before these.
+        all_edges: Whether the first edges of both clocks are the same one, and so on.
         damage: What is missing because the bag is incomplete; empty for a sound one.
     """
 
@@ -56,7 +56,7 @@ class Recording:
     edges_us: NDArray[np.int64]
     reference_edges_s: Floats
     damage: str = ''
-    all_edges: bool = True
+    all_edges: bool = False
 
 
 def align(
@@ -114,6 +114,8 @@ def align(
     return refined.fit, refined
 
 
+FEWEST_EDGES: Final = 3
+"""Two edges are as far apart as two others by chance."""
 EDGE_STD_S: Final = 2e-6
 """Both stamps are counts of a microsecond, with as much jitter."""
 TOLERANCE_S: Final = 2e-3
@@ -123,6 +125,19 @@ RIVAL: Final = 0.9
 TRIED, NEIGHBOURS = 20, 8
 """Edges, spread over the recording, for which a partner is looked for; edges before and after each
 by which the likeliest partners, as many, are found: trying all pairs takes minutes."""
+
+
+def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int64]) -> bool:
+    """Return whether edges of both clocks arrived in pairs: then the pairs are the same edges.
+
+    Args:
+        camera_ns: When the edges of the camera arrived, in this order [ns], any clock, int64 [n].
+        reference_ns: When those of the reference arrived, same clock.
+    """
+    if len(camera_ns) != len(reference_ns) or len(camera_ns) < FEWEST_EDGES:
+        return False
+    apart = np.abs(camera_ns - reference_ns).max()
+    return bool(2 * apart < min(np.diff(camera_ns).min(), np.diff(reference_ns).min()))
 
 
 def fit_edges(
@@ -136,21 +151,21 @@ def fit_edges(
     Args:
         camera_us: Edges at the camera's synchronisation input, camera clock [us], ``int64``.
         reference_s: The same edges on the reference clock [s], ``float64``.
-        complete: No edge came before these: as many on both sides are the same ones.
+        complete: As many on both sides are the same ones, in this order.
 
     Raises:
-        NoImpulseError: Fewer than two edges in one recording, or none that meet.
+        NoImpulseError: Fewer than three edges in one recording, or none that meet.
         AmbiguousImpulsesError: Edges meet in more than one way.
         ShortBaselineError: Edges too close to each other.
         DriftError: The drift is not believable.
     """
-    if min(len(camera_us), len(reference_s)) < 2:
+    camera, reference = np.unique(camera_us), np.unique(reference_s)
+    if min(len(camera), len(reference)) < FEWEST_EDGES:
         raise NoImpulseError(
-            f'{len(camera_us)} edges on external_edges, from the camera, and {len(reference_s)} on '
-            'reference_edges: two of each are needed',
+            f'{len(camera)} edges on external_edges, from the camera, and {len(reference)} on '
+            'reference_edges: three of each are needed',
             remedy='record both topics with the trigger line connected, or align by taps',
         )
-    camera, reference = np.sort(camera_us), np.sort(reference_s)
     x = (camera - camera[0]).astype(np.float64) * 1e-6
     y = reference - reference[0]
     whole = _pairs(x, y, 0, 0) if complete and len(x) == len(y) else []
@@ -163,8 +178,8 @@ def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[in
     tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64))
     found = [_pairs(x, y, i, j) for i in tried.tolist() for j in _likely(x, y, i)]
     best = max(found, key=len)
-    if len(best) < 2:
-        raise NoImpulseError('no two edges have the same time between them in both recordings')
+    if len(best) < FEWEST_EDGES:
+        raise NoImpulseError('no three edges have the same times between them in both recordings')
     for other in found:
         if len(other) > RIVAL * len(best) and not set(other) & set(best):
             raise AmbiguousImpulsesError(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from functools import partial
 
@@ -16,7 +17,7 @@ from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_alignment import signals
-from mixtac_alignment.align import Method, Recording, align
+from mixtac_alignment.align import Method, Recording, align, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.histories import (
     EventHistory,
@@ -38,6 +39,8 @@ from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
+Edges = deque[tuple[int, int]]
+"""Stamps, and when they arrived by the host's steady clock [ns]."""
 MOST_EDGES = 10_000
 """Edges of each clock that are kept, at most."""
 WAITING = 32
@@ -60,9 +63,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._history = EventHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
         self._frames = FrameHistory(p.history)
-        self._camera_edges: deque[int] = deque()
-        self._reference_edges: deque[int] = deque()
-        self._all_edges = True
+        self._camera_edges: Edges = deque()
+        self._reference_edges: Edges = deque()
         self._fit: ClockFit | None = None
         self._restarts = 0
         self._packets = SequenceCounter()
@@ -109,8 +111,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
-        self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
-        if self._fit is None or self._stale:
+        taken = self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
+        if not taken or self._fit is None or self._stale:
             return
         time_us = int(self._fit.to_camera(stamp_to_ns(message.header.stamp) / 1e9))
         if 0 <= 1000 * time_us < MAX_TIME_BASE:
@@ -146,29 +148,29 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_reference_edge(self, message: TimeReference) -> None:
         self._keep_edge(self._reference_edges, stamp_to_ns(message.time_ref))
 
-    def _keep_edge(self, edges: deque[int], stamp_ns: int) -> None:
+    def _keep_edge(self, edges: Edges, stamp_ns: int) -> None:
         """Keep an edge as long as everything else; forget all where its clock has restarted."""
-        if edges and stamp_ns < edges[-1] - RESTART_NS:
+        if edges and stamp_ns < edges[-1][0] - RESTART_NS:
             self._camera_edges.clear()
             self._reference_edges.clear()
-            self._all_edges = False
-        edges.append(stamp_ns)
-        while len(edges) > MOST_EDGES or edges[0] < stamp_ns - 1e9 * self._settings.history:
+        edges.append((stamp_ns, time.monotonic_ns()))
+        while len(edges) > MOST_EDGES or edges[0][0] < stamp_ns - 1e9 * self._settings.history:
             edges.popleft()
-            self._all_edges = False
 
     def _on_fit(self, _request: Trigger.Request) -> str:
         p = self._settings
         t_s, force = self._force.snapshot(p.reference_axis)
+        edges = self._camera_edges, self._reference_edges
+        camera, reference = (np.array(each, np.int64).reshape(-1, 2) for each in edges)
         recording = Recording(
             counts=self._rate.snapshot(),
             events=self._history.snapshot(),
             frames=self._frames.snapshot() if p.use_frames else None,
             force_t_s=t_s,
             force=force,
-            edges_us=np.array(self._camera_edges, np.int64) // 1000,
-            reference_edges_s=np.array(self._reference_edges, np.float64) / 1e9,
-            all_edges=self._all_edges,
+            edges_us=camera[:, 0] // 1000,
+            reference_edges_s=reference[:, 0] / 1e9,
+            all_edges=arrived_together(camera[:, 1], reference[:, 1]),
         )
         method: Method = 'edges' if p.use_edges else 'refined'
         self._fit = align(recording, p, method=method, use_all=p.use_all)[0]

@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_alignment.align import Recording, align
+from mixtac_alignment.align import Recording, align, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError
 from mixtac_alignment.gel_lag import GelLag
@@ -171,12 +171,13 @@ def read_recording(
     spans: dict[int, tuple[int, int]] = {}
     edges: list[int] = []
     reference_edges: list[float] = []
+    arrived: tuple[list[int], list[int]] = ([], [])
     stamps: list[int] = []
     force: list[float] = []
     with BagFile(path) as bag:
         more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
-        for topic, _, message in bag.messages(*needed, *optional, raw=(events,)):
+        for topic, received_ns, message in bag.messages(*needed, *optional, raw=(events,)):
             if topic == events:
                 packets.add(message)
             elif topic == reference:
@@ -193,8 +194,10 @@ def read_recording(
                     frames.push(*spans.pop(stamp), images.pop(stamp))
             elif topic == edge:
                 edges.append(stamp_to_us(message.header.stamp))
+                arrived[0].append(received_ns)
             else:
                 reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
+                arrived[1].append(received_ns)
     return Recording(
         counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
         events=packets.events(),
@@ -204,6 +207,7 @@ def read_recording(
         edges_us=np.array(edges, np.int64),
         reference_edges_s=np.array(reference_edges),
         damage=bag.damage,
+        all_edges=arrived_together(*(np.array(each, np.int64) for each in arrived)),
     )
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import partial
 
@@ -15,11 +16,14 @@ from mixtac_alignment.parameters import ForceErrorParameters
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, qos, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.stamps import stamp_to_ns
 
 WAITING = 50
 """Estimates, or samples of the reference, that wait for each other; 0.1 s of estimates."""
 SLOP_S = 0.001
 """Largest difference of the stamps in a pair [s]."""
+RESTART_NS = 1_000_000_000
+"""A larger step back is a restarted clock [ns]."""
 
 
 class RunningError:
@@ -33,8 +37,9 @@ class RunningError:
         self._errors: deque[float] = deque(maxlen=window)
 
     def push(self, estimate_n: float, reference_n: float) -> None:
-        """Add a pair of normal forces [N]."""
-        self._errors.append(estimate_n - reference_n)
+        """Add a pair of normal forces [N]; one that is no number is left out."""
+        if math.isfinite(error := estimate_n - reference_n):
+            self._errors.append(error)
 
     @property
     def pairs(self) -> int:
@@ -61,7 +66,7 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         p = declare(self, ForceErrorParameters)
         self._sign = p.sign or 1
         self._error = RunningError(p.window)
-        self._estimates, self._paired = 0, 0
+        self._estimates, self._paired, self._newest_ns = 0, 0, 0
         force, reference = (
             Subscriber(self, topics.message_class(topic.type_name), name, qos_profile=qos(topic))
             for topic, name in (
@@ -70,12 +75,22 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
             )
         )
         force.registerCallback(self._on_force)
+        for half in (force, reference):
+            half.registerCallback(self._on_half)
         self._pairs = ApproximateTimeSynchronizer([force, reference], WAITING, SLOP_S)
         self._pairs.registerCallback(self._on_pair)
         self._mae = self.publish_topic(topics.FORCE_ERROR_MAE, name='~/mae')
         self._rmse = self.publish_topic(topics.FORCE_ERROR_RMSE, name='~/rmse')
         self.create_timer(0.1, self._publish)
         self._diagnostics = DiagnosticsPublisher(self, 'force error', self._status)
+
+    def _on_half(self, message: topics.ForceMessage) -> None:
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        if stamp_ns < self._newest_ns - RESTART_NS:
+            # What waits is of the clock before, and would push out all that is new.
+            for queue in self._pairs.queues:
+                queue.clear()
+        self._newest_ns = stamp_ns
 
     def _on_force(self, _message: topics.ForceMessage) -> None:
         self._estimates += 1

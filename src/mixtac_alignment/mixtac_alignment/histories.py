@@ -300,11 +300,15 @@ class FrameHistory:
     def push(self, start_us: int, end_us: int, values: NDArray[np.float32]) -> None:
         """Add a frame; an earlier exposure, or another size, restarts the history.
 
+        An image that is smaller than a cell shows nothing and is left out.
+
         Args:
             start_us: Start of the exposure, camera clock [us].
             end_us: Its end.
             values: Log brightness, as `reduce_frame` gives it.
         """
+        if not values.size:
+            return
         if self._frames:
             before_us, _, before = self._frames[-1]
             if start_us <= before_us or values.shape != before.shape:
@@ -321,13 +325,17 @@ class FrameHistory:
         return FrameFeatures(start, end, np.stack([row[2] for row in rows]))
 
 
+MOST_REFUSED: Final = 20
+"""Samples in a row without a later stamp; from then on the clock was set back."""
+
+
 class ForceHistory:
     """A ring of force samples with increasing stamps.
 
     Attributes:
         out_of_order: Samples dropped because their stamp did not increase, or their force was no
             number.
-        restarts: Times the reference clock jumped back.
+        restarts: Times the reference clock jumped back: by more than a second, or for good.
 
     Args:
         span_s: Time to remember [s].
@@ -340,26 +348,31 @@ class ForceHistory:
         self._span_ns = round(span_s * 1e9)
         self._t_ns = np.zeros(capacity, np.int64)
         self._force = np.zeros((capacity, 3))
-        self._count = 0
+        self._count = self._refused = 0
 
-    def push(self, t_ns: int, force: tuple[float, float, float]) -> None:
-        """Add a sample.
+    def push(self, t_ns: int, force: tuple[float, float, float]) -> bool:
+        """Add a sample; return whether it was taken.
 
         Args:
             t_ns: Stamp, reference clock [ns].
             force: Force (x, y, z) [N].
         """
         late_ns = self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -1
-        if late_ns > 1000 * RESTART_US:
+        finite = bool(np.isfinite(force).all())
+        self._refused += finite and late_ns >= 0
+        restarted = late_ns > 1000 * RESTART_US or self._refused > MOST_REFUSED
+        if not finite or (late_ns >= 0 and not restarted):
+            self.out_of_order += 1
+            return False
+        if late_ns >= 0:
             self.restarts += 1
             self._count = 0
-        elif late_ns >= 0 or not np.isfinite(force).all():
-            self.out_of_order += 1
-            return
+        self._refused = 0
         slot = self._count % len(self._t_ns)
         self._t_ns[slot] = t_ns
         self._force[slot] = force
         self._count += 1
+        return True
 
     def snapshot(self, axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times (reference clock [s]) and forces [N] along an axis, oldest first."""

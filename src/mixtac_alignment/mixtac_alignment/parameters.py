@@ -100,5 +100,5 @@ class ForceErrorParameters:
 
     force_topic: str = fixed('force')
     reference_topic: str = fixed('reference/wrench')
-    window: int = fixed(5000, within=(10, 1_000_000))
+    window: int = fixed(5000, within=(10, 50_000))
     sign: int = fixed(1, within=(-1, 1))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.align import fit_edges
+from mixtac_alignment.align import arrived_together, fit_edges
 from mixtac_alignment.errors import AmbiguousImpulsesError, DriftError, NoImpulseError
 
 EPOCH_US = 1_700_000_000_000_000
@@ -52,6 +52,22 @@ def test_as_many_even_edges_are_the_same_ones_only_if_none_came_before() -> None
         fit_edges(camera, shifted, complete=False)
 
 
+def test_edges_are_paired_by_their_arrival_only_where_that_is_certain() -> None:
+    camera = 1_000_000_000 * np.arange(20)
+    late = np.random.default_rng(5).integers(0, 30_000_000, 20)
+    assert arrived_together(camera, camera + late)
+    assert not arrived_together(camera, camera + 1_000_000_000)
+    assert not arrived_together(camera[:-1], (camera + late)[1:])
+    assert not arrived_together(camera[:-1], camera)
+    assert not arrived_together(camera[:2], camera[:2])
+
+
+def test_a_repeated_edge_counts_once() -> None:
+    camera = np.cumsum(np.random.default_rng(6).integers(50_000, 900_000, 20)).astype(np.int64)
+    fit = fit_edges(np.append(camera, camera[7]), 100.0 + camera * 1e-6, complete=True)
+    assert len(fit.anchors) == 20
+
+
 def test_many_edges_are_matched() -> None:
     rng = np.random.default_rng(4)
     camera = np.cumsum(rng.integers(100_000, 900_000, 1000)).astype(np.int64)
@@ -65,5 +81,7 @@ def test_edges_that_make_no_map_are_refused() -> None:
     camera = np.array([0, 1_000_000, 2_500_000], np.int64)
     with pytest.raises(NoImpulseError):
         fit_edges(camera, np.array([1.0]))
+    with pytest.raises(NoImpulseError):
+        fit_edges(camera[:2], 5.0 + camera[:2] * 1e-6)
     with pytest.raises((NoImpulseError, DriftError)):
         fit_edges(camera, np.array([0.0, 1.3, 2.9]))

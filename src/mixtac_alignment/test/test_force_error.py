@@ -20,3 +20,10 @@ def test_errors_are_those_of_the_latest_pairs() -> None:
     assert running.pairs == 100
     assert running.mae == pytest.approx(np.abs(latest).mean())
     assert running.rmse == pytest.approx(np.sqrt(np.mean(latest**2)))
+
+
+def test_a_force_that_is_no_number_is_left_out() -> None:
+    running = RunningError(100)
+    for reference in (1.0, float('nan'), float('inf')):
+        running.push(1.25, reference)
+    assert (running.pairs, running.mae, running.rmse) == (1, 0.25, 0.25)

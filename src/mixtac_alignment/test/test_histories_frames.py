@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_alignment.histories import FRAMES_PER_S, FrameHistory, by_cell
+from mixtac_alignment.histories import FRAMES_PER_S, FrameHistory, by_cell, reduce_frame
 from mixtac_events.arrays import Events
 
 
@@ -63,3 +63,9 @@ def test_a_restart_of_the_clock_begins_anew() -> None:
     frames = history.snapshot()
     assert frames is not None
     assert frames.start_us.tolist() == [7]
+
+
+def test_images_smaller_than_a_cell_are_left_out() -> None:
+    history = FrameHistory(1.0)
+    history.push(400, 500, reduce_frame(np.zeros((260, 9), np.uint8), 255.0))
+    assert history.snapshot() is None

@@ -150,10 +150,11 @@ class ContactStiffness:
         a = slope * slope - z2 * self._kk
         b = -2.0 * (room * slope + z2 * self._fk)
         c = room * room - z2 * self._ff
-        if room <= 0.0 or c <= 0.0:
-            return 0.0
         root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
         q = -b + root
+        # NaN allows nothing either.
+        if not (room > 0.0 and c > 0.0) or math.isnan(q):
+            return 0.0
         # The smaller positive root in the form that does not cancel; a may have any sign.
         return 2.0 * c / q if q > 0.0 else math.inf
 

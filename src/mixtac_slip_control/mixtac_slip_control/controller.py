@@ -158,6 +158,11 @@ class SlipController:
         return self._advance.limit if self._advance else 0.0
 
     @property
+    def refused_plans(self) -> int:
+        """Plans that would have broken a limit of the arm, and were not sent."""
+        return self._planner.refused if self._planner else 0
+
+    @property
     def stiffness(self) -> float:
         """Estimated stiffness of the contact [N/m]; 0 without an arm."""
         return self._advance.bound.stiffness.stiffness if self._advance else 0.0
@@ -372,10 +377,11 @@ class SlipController:
             self._planner.reset(joints, self._normal, self._parameters.max_total)
             self._advance.start()
             self.following.start(now_s + settling_s, np.array(measured), commanded)
-        except SlipControlError:
+        except BaseException:
             self.interlock.disable()
             raise
         self._settling = (now_s, now_s + settling_s)
+        self.watch.on_enabling(now_s)
 
     def disable(self) -> None:
         """Let nothing move; the sum stays on record until the next enabling."""
@@ -448,7 +454,8 @@ class SlipController:
             self._calm_us = window.end_us + CALM_US
             if not before and not self.probing:
                 self.grip.on_slip(window.end_us)
-        if self._advance is not None and self._may_move(now_s):
+        full = window.count >= self._parameters.saturation_count
+        if self._advance is not None and not full and self._may_move(now_s):
             wanted = self._advance.update(window.count, detectors, self.watch.upper, now_s)
         return SlipStep(
             end_us=window.end_us,

@@ -113,7 +113,8 @@ class GuideMaker:
         np.multiply(fields[1], self._away_x, out=fields[3])
         fields[3] -= fields[0] * self._away_y
         squares = float(np.vdot(fields[:2], fields[:2]))
-        contrast = math.sqrt(0.5 * squares / self._weight_squares)
+        # A contact outside of the image has no weight in it.
+        contrast = math.sqrt(0.5 * squares / max(self._weight_squares, 1e-12))
         solver = _solver(fields)
         where = self._zones, self._bins
         return FlowGuide(fields, solver, self._reach, int(frame_us), contrast, *where)

@@ -200,8 +200,8 @@ class SlipControlParameters:
     frame_id: str = fixed('mixtac_contact')
     detector: str = parameter('flow', choices=DETECTORS)
     window: float = fixed(1e-3, unit='s', within=(2e-4, 2e-2))
-    contact_column: float = fixed(-1.0, unit='px', within=(-1.0, None))
-    contact_row: float = fixed(-1.0, unit='px', within=(-1.0, None))
+    contact_column: float = fixed(-1.0, unit='px', within=(-1.0, 1e4))
+    contact_row: float = fixed(-1.0, unit='px', within=(-1.0, 1e4))
     contact_reach: float = fixed(0.0, unit='px', within=(0.0, 1000.0))
     learning_time: float = parameter(1.0, unit='s', within=(0.1, 60.0))
     background_time_constant: float = parameter(20.0, unit='s', within=(0.5, 3600.0))
@@ -268,6 +268,11 @@ class SlipControlParameters:
                     f'parameter {name} = {seconds:g} s: give at least {fewest} windows of '
                     f'{self.window:g} s'
                 )
+        if self.max_events_age < 3.0 * self.window:
+            raise ParameterError(
+                f'parameter max_events_age = {self.max_events_age:g} s: give at least three times '
+                f'window = {self.window:g} s'
+            )
         if self.lead < 2.0 * self.controller_period:
             raise ParameterError(
                 f'parameter lead = {self.lead:g} s: give at least two of controller_period = '

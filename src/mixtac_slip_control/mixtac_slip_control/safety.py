@@ -94,6 +94,14 @@ LOST_WINDOWS: Final = 5
 """Windows in a row with lost packets that stop, or without a frame of their time."""
 LIGHT_WINDOWS: Final = 200
 """Windows made by light, less the others, that stop: slip is not seen in them."""
+ABSURD_FORCES: Final = 1e3
+"""Force, or its deviation, over `max_force` above which it is no number."""
+LATE_AGES: Final = 2.0
+"""Delay of the events over its least from which they are late, over their largest age."""
+FORGET_S: Final = 5.0
+"""Time over which the least delay is forgotten [s]: the clocks of host and camera drift apart."""
+ENABLING_S: Final = 0.1
+"""Longest time that inputs wait while enabling computes the path of the arm [s]."""
 
 
 class SafetyWatch:
@@ -129,6 +137,9 @@ class SafetyWatch:
         self._mean_force: float | None = None
         self._frame_us: int | None = None
         self._force_stamp_us: int | None = None
+        self._end_us = -1
+        self._least_s = self._late_s = 0.0
+        self._waits_until_s = -math.inf
         self._untrusted = ''
 
     def configure(self, parameters: SlipControlParameters) -> None:
@@ -142,7 +153,15 @@ class SafetyWatch:
         self._lost = 0 if window.complete else self._lost + 1
         self._unguided = 0 if window.guided else self._unguided + 1
         self._light = min(max(self._light + (1 if window.light else -1), 0), LIGHT_WINDOWS)
+        delay_s = now_s - 1e-6 * window.end_us
+        forgotten = min(max(self.age(EVENTS, now_s) / FORGET_S, 0.0), 1.0)
+        if window.end_us < self._end_us:
+            forgotten = 1.0  # the clock of the camera started anew
+        self._least_s = min(delay_s, self._least_s + forgotten * (delay_s - self._least_s))
+        self._late_s, self._end_us = delay_s - self._least_s, window.end_us
         self._arrived[EVENTS] = now_s
+        if self._late_s <= self._parameters.max_events_age:
+            self._waits_until_s = -math.inf
 
     def on_frame(self, stamp_us: int, contrast: float, now_s: float) -> None:
         """Record a frame with its stamp, camera clock [us], and its contrast [1/px]."""
@@ -157,7 +176,8 @@ class SafetyWatch:
         Returns:
             Whether it is a new one.
         """
-        if not math.isfinite(force_n + deviation):
+        most = ABSURD_FORCES * self._parameters.max_force
+        if not (abs(force_n) <= most and abs(deviation) <= most):
             self._wrong[FORCE] = f'force is {force_n} N with a deviation of {deviation} N'
             return False
         if self._force_stamp_us is not None and stamp_us == self._force_stamp_us:
@@ -193,6 +213,10 @@ class SafetyWatch:
         """Record a heartbeat of the supervisor."""
         self._arrived[HEARTBEAT] = now_s
 
+    def on_enabling(self, now_s: float) -> None:
+        """Let inputs be late for a moment: they wait while enabling computes the path."""
+        self._waits_until_s = now_s + ENABLING_S
+
     def age(self, name: str, now_s: float) -> float:
         """Return how long ago an input arrived [s], infinite before the first time."""
         arrived = self._arrived.get(name)
@@ -220,14 +244,33 @@ class SafetyWatch:
             (HEARTBEAT, p.max_heartbeat_age),
             *(((FRAMES, p.max_frame_age),) if p.detector == 'flow' else ()),
         )
+        wait_s = ENABLING_S if now_s < self._waits_until_s else 0.0
         for name, limit in allowed:
             if name in self._wrong:
                 return self._wrong[name]
             age = self.age(name, now_s)
             if math.isinf(age):
                 return f'no {name} so far'
-            if not -limit <= age <= limit:
+            if not -limit <= age <= limit + wait_s:
                 return f'{name} {age * 1e3:.0f} ms old, {limit * 1e3:.0f} ms allowed'
+        return self._behind(wait_s)
+
+    def _behind(self, wait_s: float) -> str | None:
+        """Return which inputs come regularly but are old, or None."""
+        p = self._parameters
+        limit = LATE_AGES * p.max_events_age
+        if not self._late_s <= limit + wait_s:
+            return (
+                f'events are taken {self._late_s * 1e3:.0f} ms late, {limit * 1e3:.0f} ms '
+                'allowed: lower the load of this host'
+            )
+        apart_s = 1e-6 * (self._end_us - (self._force_stamp_us or 0))
+        limit = p.max_force_age + p.max_events_age
+        if not abs(apart_s) <= limit + wait_s:
+            return (
+                f'force and events are {abs(apart_s) * 1e3:.0f} ms apart, {limit * 1e3:.0f} ms '
+                'allowed: the estimate is late, or its stamps are not of the clock of the camera'
+            )
         return None
 
     def _limits(self) -> str | None:

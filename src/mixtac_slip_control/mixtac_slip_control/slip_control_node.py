@@ -107,6 +107,7 @@ def node_status(
         'late events': slicer.late_events,
         'clock restarts': slicer.restarts,
         'trajectories': counts.trajectories,
+        'refused plans': controller.refused_plans,
         'advance limit [m]': controller.advance_limit,
     }
     for name in AGES:

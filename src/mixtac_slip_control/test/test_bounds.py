@@ -87,6 +87,11 @@ def test_nothing_measured_counts_as_the_stiffest_contact() -> None:
     assert stiffness.largest_advance(1.3) < 0.7 / 2e4
 
 
+def test_forces_that_are_no_measurements_allow_no_advance() -> None:
+    stiffness = fed(np.zeros(6), np.array([0.5, 1.7e308, -1.7e308, 1.7e308, 0.5, 0.5]))
+    assert stiffness.largest_advance(1.3) == 0.0
+
+
 def test_a_soft_contact_gives_more_room_once_it_is_known() -> None:
     x = np.concatenate([np.zeros(50), np.linspace(0.0, 5e-5, 50), np.full(50, 5e-5)])
     noise = np.random.default_rng(1).normal(0.0, 0.03, len(x))

@@ -199,7 +199,8 @@ STOPS: dict[str, Callable[[Rig], object]] = {
     'saturated': lambda r: [r.step(9000) for _ in range(2)],
     'missing': lambda r: r.gap(6),
     'force 5': lambda r: [r.step(inputs=False) for _ in range(52)],
-    'events': lambda r: r.controller.tick(r.now + 0.021),
+    'events': lambda r: [r.step(), r.controller.tick(r.now + 0.021)],
+    'force and events': lambda r: r.controller.on_force(0.5, 1000 * r.ms - 200_000, r.now),
 }
 
 
@@ -312,10 +313,10 @@ def test_a_stop_is_not_reset_while_its_cause_lasts() -> None:
 
 def test_saturation_does_not_advance_before_it_stops() -> None:
     rig = Rig().enabled()
-    rig.step(9000)
-    before = rig.controller.total_advance
     assert rig.step(9000).advance == 0.0
-    assert rig.controller.total_advance == before
+    assert rig.step(900).advance > 0.0
+    assert [rig.step(9000).advance for _ in range(2)] == [0.0, 0.0]
+    assert not rig.controller.enabled
 
 
 def test_a_planner_that_refuses_stops() -> None:
@@ -366,6 +367,37 @@ def test_the_normal_may_follow_from_the_joints() -> None:
     rig.controller = SlipController(chosen(), rig.planner, lambda q: np.array([q[1], 0.0, 1.0]))
     rig.enabled()
     assert rig.planner.resets[0][1] == (-0.8, 0.0, 1.0)
+
+
+def test_inputs_that_waited_for_the_enabling_do_not_stop() -> None:
+    rig = Rig().enabled()
+    planned_s = 0.045
+    rig.controller.on_joint_state(READY, rig.now + planned_s)
+    for _ in range(100):
+        end_us = 1000 * (rig.ms + 1)
+        place = np.zeros(30, np.uint16)
+        t = end_us - 1000 + 30 * np.arange(30, dtype=np.int64)
+        events = Events(t, place, place, np.ones(30, np.bool_))
+        rig.ms += 1
+        # A packet takes half a millisecond until all that waited are done.
+        late_s = max(planned_s - 5e-4 * (rig.ms - 120), 0.0)
+        rig.controller.on_events(events, end_us, rig.now + late_s)
+        rig.controller.on_force(0.5, end_us, rig.now + late_s)
+        rig.controller.on_joint_state(READY, rig.now + late_s)
+        rig.controller.on_heartbeat(rig.now + late_s)
+        assert rig.controller.enabled, rig.controller.interlock.reason
+
+
+def test_whatever_fails_while_it_is_enabled_leaves_it_disabled() -> None:
+    rig = Rig()
+    normals = iter([np.array([0.0, 0.0, 1.0])])
+    rig.controller = SlipController(chosen(), rig.planner, lambda _q: next(normals))
+    rig.enabled()
+    rig.controller.disable()
+    with pytest.raises(StopIteration):
+        rig.controller.enable(rig.now)
+    assert rig.controller.interlock.state is InterlockState.DISABLED
+    assert not rig.step(800).enabled
 
 
 def test_it_starts_from_commanded_positions_where_they_are_known() -> None:

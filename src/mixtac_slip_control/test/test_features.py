@@ -181,6 +181,17 @@ def test_parameters_fix_the_place_of_the_contact() -> None:
     assert window.flow_x == pytest.approx(0.4 / CONTRAST, rel=0.15)
 
 
+@pytest.mark.parametrize(('column', 'row'), [(170.0, 130.0), (345.0, 259.0), (1e4, 0.0)])
+def test_a_contact_anywhere_lets_the_kernels_be_compiled(column: float, row: float) -> None:
+    features = SlipFeatures(SlipControlParameters(contact_column=column, contact_row=row))
+    features.warm_up()
+    features.frame(np.round(REST).astype(np.uint16), 0)
+    # Slip at a contact outside of the image cannot be seen.
+    assert (features.contrast == 0.0) == (column > WIDTH)
+    (window,) = features.push(events_of(np.ones_like(STILL), STILL), 1000)
+    assert np.isfinite([window.flow_x, window.flow_y, window.noise, window.rotation]).all()
+
+
 def test_an_old_frame_is_not_used() -> None:
     features = SlipFeatures(SlipControlParameters())
     features.frame(np.round(REST).astype(np.uint16), 0)

@@ -37,6 +37,8 @@ from mixtac_slip_control.parameters import SlipControlParameters
         {'stiffest_contact': 0.0},
         {'force_noise': math.nan},
         {'contact_reach': 5.0},
+        {'contact_column': 1e9},
+        {'window': 0.01, 'max_events_age': 0.02, 'learning_time': 10.0},
         {'learning_time': 0.2, 'window': 0.01},
         {'background_time_constant': 0.5, 'window': 0.01, 'learning_time': 1.0},
     ],

@@ -18,16 +18,24 @@ from .slip_windows import window
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mixtac_slip_control.features import SlipWindow
+
 PARAMETERS = SlipControlParameters()
 NOW = 1_700_000_000.0
+NOW_US = 1_700_000_000_000_000
 READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
+
+
+def ending(time_s: float, **changes: Any) -> SlipWindow:
+    """Return a window that ends at a time [s] of the camera clock."""
+    return window(round(1e3 * time_s) - 1, **changes)
 
 
 def heard(now_s: float = NOW) -> SafetyWatch:
     watch = SafetyWatch(PARAMETERS, lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None)
-    watch.on_window(window(0), now_s)
+    watch.on_window(ending(now_s), now_s)
     watch.on_frame(1000, 0.1, now_s)
-    watch.on_force(0.5, 1000, now_s)
+    watch.on_force(0.5, NOW_US, now_s)
     watch.on_joint_state(READY, now_s)
     watch.on_heartbeat(now_s)
     return watch
@@ -39,7 +47,7 @@ def test_with_everything_fresh_nothing_is_wrong() -> None:
 
 def refresh(watch: SafetyWatch, now_s: float, *, without: str) -> None:
     if without != 'events':
-        watch.on_window(window(0), now_s)
+        watch.on_window(ending(now_s), now_s)
     if without != 'frames':
         watch.on_frame(round(now_s * 1e6), 0.1, now_s)
     if without != 'force':
@@ -78,10 +86,10 @@ def test_an_input_never_heard_of_stops(name: str) -> None:
 def test_light_that_lasted_for_long_is_over_when_it_is_over() -> None:
     watch = heard()
     for _ in range(20 * LIGHT_WINDOWS):
-        watch.on_window(window(0, light=True), NOW)
+        watch.on_window(ending(NOW, light=True), NOW)
     assert 'light' in str(watch.fault(NOW))
     for _ in range(LIGHT_WINDOWS):
-        watch.on_window(window(0), NOW)
+        watch.on_window(ending(NOW), NOW)
     assert watch.fault(NOW) is None
 
 
@@ -94,25 +102,27 @@ def test_a_force_that_is_valid_again_may_be_followed() -> None:
 
 
 def repeat(watch: SafetyWatch, times: int, **changes: Any) -> None:
-    for index in range(times):
-        watch.on_window(window(index, **changes), NOW)
+    for _ in range(times):
+        watch.on_window(ending(NOW, **changes), NOW)
 
 
 def lose(watch: SafetyWatch, force_n: float) -> None:
     for ms in range(500):
         refresh(watch, NOW + 1e-3 * ms, without='force')
-        watch.on_force(force_n, 2000 + ms, NOW + 1e-3 * ms)
+        watch.on_force(force_n, NOW_US + 1000 * ms, NOW + 1e-3 * ms)
     refresh(watch, NOW, without='force')
-    watch.on_force(force_n, 1, NOW)
+    watch.on_force(force_n, NOW_US, NOW)
 
 
 TRIPS: dict[str, Callable[[SafetyWatch], None]] = {
-    'force is nan': lambda w: w.on_force(math.nan, 2000, NOW),
-    'force is inf': lambda w: w.on_force(math.inf, 2000, NOW),
+    'force is nan': lambda w: w.on_force(math.nan, NOW_US + 1000, NOW),
+    'force is 1.7e+308': lambda w: w.on_force(1.7e308, NOW_US + 1000, NOW),
+    'deviation of 1e+300': lambda w: w.on_force(0.5, NOW_US + 1000, NOW, 1e300),
+    'force is inf': lambda w: w.on_force(math.inf, NOW_US + 1000, NOW),
     'joint positions are': lambda w: w.on_joint_state((math.nan, *READY[1:]), NOW),
     'joint 1 is at its end': lambda w: w.on_joint_state((2.5, *READY[1:]), NOW),
     'not valid: light changed': lambda w: w.on_quality('light changed'),
-    'above max_force': lambda w: w.on_force(1.6, 2000, NOW),
+    'above max_force': lambda w: w.on_force(1.6, NOW_US + 1000, NOW),
     'saturated': lambda w: repeat(w, 2, count=9000),
     'missing': lambda w: repeat(w, 5, complete=False),
     'frame is not of the time': lambda w: repeat(w, 5, guided=False),
@@ -132,18 +142,18 @@ def test_each_limit_trips(reason: str) -> None:
 
 def test_what_was_wrong_is_over_with_the_next_good_value() -> None:
     watch = heard()
-    watch.on_force(math.nan, 2000, NOW)
+    watch.on_force(math.nan, NOW_US + 1000, NOW)
     watch.on_joint_state((2.5, *READY[1:]), NOW)
-    watch.on_force(0.5, 3000, NOW)
+    watch.on_force(0.5, NOW_US + 2000, NOW)
     watch.on_joint_state(READY, NOW)
     assert watch.fault(NOW) is None
 
 
 def test_single_full_or_lost_windows_do_not_stop() -> None:
     watch = heard()
-    watch.on_window(window(0, 9000, complete=False, guided=False), NOW)
-    watch.on_window(window(1), NOW)
-    watch.on_window(window(2, 9000), NOW)
+    watch.on_window(ending(NOW, count=9000, complete=False, guided=False), NOW)
+    watch.on_window(ending(NOW), NOW)
+    watch.on_window(ending(NOW, count=9000), NOW)
     assert watch.fault(NOW) is None
 
 
@@ -170,9 +180,9 @@ def test_joint_states_are_as_old_as_their_stamps() -> None:
 
 def test_one_low_force_and_light_now_and_then_do_not_stop() -> None:
     watch = heard()
-    watch.on_force(-0.5, 3000, NOW + 1e-3)
+    watch.on_force(-0.5, NOW_US + 1000, NOW + 1e-3)
     for index in range(4 * LIGHT_WINDOWS):
-        watch.on_window(window(index, light=index % 2 == 0), NOW)
+        watch.on_window(ending(NOW, light=index % 2 == 0), NOW)
     assert watch.fault(NOW) is None
 
 
@@ -187,6 +197,64 @@ def test_a_force_that_is_repeated_grows_old() -> None:
 @pytest.mark.parametrize('now', [NOW - 1.0, math.nan, math.inf])
 def test_a_clock_that_jumps_stops(now: float) -> None:
     assert heard().fault(now) is not None
+
+
+def fed(watch: SafetyWatch, delays_s: list[float], drift: float = 1.0) -> list[str | None]:
+    """Let a window end each millisecond and arrive with a delay; return what is wrong each time."""
+    found = []
+    for ms, delay_s in enumerate(delays_s):
+        end_s = NOW + 1e-3 * ms
+        now_s = NOW + 1e-3 * ms * drift + delay_s
+        refresh(watch, now_s, without='events')
+        watch.on_window(ending(end_s), now_s)
+        watch.on_force(0.5, round(1e6 * end_s), now_s)
+        found.append(watch.fault(now_s))
+    return found
+
+
+def test_events_that_fall_behind_stop_although_they_come_regularly() -> None:
+    watch = heard()
+    found = fed(watch, [3e-4 * ms for ms in range(300)])
+    assert found[:100] == [None] * 100
+    assert 'events' in str(found[-1])
+    # Under way they were caught up with, and then the camera was started anew.
+    assert fed(watch, [0.0] * 10)[-1] is None
+
+
+@pytest.mark.parametrize('offset_s', [-1e9, -0.5, 0.0, 3e3])
+@pytest.mark.parametrize('drift', [1.0 - 5e-4, 1.0, 1.0 + 5e-4])
+def test_neither_clocks_apart_nor_a_host_that_catches_up_are_late_events(
+    drift: float, offset_s: float
+) -> None:
+    busy = [max(1e-3 * (18 - 2 * (ms % 500)), 1e-3) for ms in range(20_000)]
+    found = fed(SafetyWatch(PARAMETERS), [offset_s + delay for delay in busy], drift)
+    assert set(found) == {None}
+
+
+def test_a_clock_that_did_not_run_yet_makes_no_events_late() -> None:
+    watch = SafetyWatch(PARAMETERS)
+    watch.on_window(ending(NOW - 1e-3), 0.0)
+    refresh(watch, NOW, without='')
+    assert watch.fault(NOW) is None
+
+
+@pytest.mark.parametrize('seconds', [-5.0, -0.08, 0.08, 5.0])
+def test_a_force_of_another_time_than_the_events_stops(seconds: float) -> None:
+    watch = heard()
+    watch.on_force(0.5, NOW_US + round(1e6 * seconds), NOW)
+    assert 'force' in str(watch.fault(NOW))
+    watch.on_force(0.5, NOW_US + round(0.5e6 * math.copysign(0.08, seconds)), NOW)
+    assert watch.fault(NOW) is None
+
+
+def test_inputs_wait_while_enabling_computes_the_path() -> None:
+    watch = heard()
+    watch.on_enabling(NOW)
+    assert watch.fault(NOW + 0.032) is None
+    assert watch.fault(NOW + 0.11) is not None
+    # With the first events that are in time, no more.
+    refresh(watch, NOW + 0.032, without='')
+    assert watch.fault(NOW + 0.058) is not None
 
 
 def test_only_a_new_force_is_news() -> None:

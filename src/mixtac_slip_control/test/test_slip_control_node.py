@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from itertools import pairwise
@@ -114,7 +115,8 @@ class Peer:
         self._heartbeat = make(Empty, '/mixtac/slip_control/heartbeat', 10)
         graph.node.create_subscription(SlipState, '/mixtac/slip', self._on_slip, QOS_FORCE)
         self.trajectories = graph.listen(JointTrajectory, TOPIC, 10)
-        self._sent = 0
+        self._packets = self._sent = 0
+        self._started_s = math.inf
         self.force, self.pull = 0.5, 0.0
 
     def start(self, *parameters: str, trajectories: bool = True) -> None:
@@ -141,7 +143,10 @@ class Peer:
 
     def send(self, counts: list[int], *, inputs: bool = True) -> list[Any]:
         """Send one packet per count and millisecond; return the states of their windows."""
-        first = self._sent
+        # The clock of the camera goes on while nothing is sent.
+        self._started_s = min(self._started_s, time.monotonic())
+        first = max(self._sent, round(1e3 * (time.monotonic() - self._started_s)))
+        self._sent = first
         for count in counts:
             if inputs and self._sent % 2 == 0:
                 self._send_inputs()
@@ -172,19 +177,20 @@ class Peer:
     def _send_packet(self, count: int) -> None:
         start = EPOCH_US + self._sent * 1000
         t = start + np.arange(count, dtype=np.int64) * 1000 // max(count, 1)
-        place = np.zeros(count, np.uint16)
+        place = np.full(count, 130, np.uint16)  # at the contact
         polarity = np.ones(count, np.bool_)
         packet = encode(Events(t, place, place, polarity), complete_until=start + 1000)
         message = self._types[0](
             width=346,
             height=260,
-            seq=self._sent,
+            seq=self._packets,
             time_base=packet.time_base,
             encoding=packet.encoding,
         )
         message.events.frombytes(packet.payload)
         self._events.publish(message)
         self._sent += 1
+        self._packets += 1
 
     def _send_inputs(self) -> None:
         _, wrench, joints, empty = self._types
@@ -218,8 +224,11 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(node_under_test: A
     assert not any(s.slipping or s.enabled for s in states)
 
     assert not any(s.flow for s in states)
-    peer.send_frame()
-    peer.graph.spin_until(lambda: any(s.flow > 0.0 for s in peer.send(quiet(20))))
+
+    def flows() -> bool:
+        return any(s.flow > 0.0 for s in peer.send(quiet(20)))
+
+    peer.graph.spin_until(flows, peer.send_frame)
 
     disabled = peer.send([30, 600, *quiet(250)])
     assert any(s.slipping and s.count_slipping and s.count == 600 for s in disabled)

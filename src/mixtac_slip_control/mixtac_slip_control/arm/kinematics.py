@@ -161,6 +161,8 @@ def _unit(axis: Vector, joint: str) -> Vector:
 MAX_INVERSE_STEPS = 100
 DAMPING = 1e-3
 """Damping of the inverse at an error of 1 m or 1 rad; it shrinks with the error."""
+LEAST_DAMPING = 1e-6
+"""Damping of the inverse at no error: an arm of five joints moves its tip in five ways only."""
 TOLERANCE = 1e-12
 """Largest error of position [m] and orientation [rad] that the inverse leaves."""
 
@@ -300,7 +302,7 @@ class SerialArm:
             tip, jacobian = self._pose_and_jacobian(solution)
             error = pose_error(pose, tip)
             remaining = float(np.max(np.abs(error)))
-            pinv = damped_inverse(jacobian, DAMPING * min(remaining, 1.0))
+            pinv = damped_inverse(jacobian, max(DAMPING * min(remaining, 1.0), LEAST_DAMPING))
             back = start - solution
             back = back - pinv @ (jacobian @ back)
             if remaining <= TOLERANCE and np.max(np.abs(back)) <= 100.0 * TOLERANCE:

@@ -9,7 +9,6 @@ slip control and the kinematics of the arm, and returns an `ArmBackend`.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
+from mixtac_slip_control.arm.normal_path import DEGREE, MotionLimits, NormalPath
 from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError, SlipControlError
@@ -61,16 +61,15 @@ class ArmParts:
 
     def warm_up(self) -> None:
         """Compile (or load) what runs in real time, so that the first trajectory is not late."""
-        middle = 0.5 * (self.limits.lower + self.limits.upper)
-        # Advancing from the middle of the joints' ranges may be impossible; only the compilation
-        # matters.
-        with contextlib.suppress(SlipControlError):
-            normal = self.normal(middle)
-            self.planner.reset(middle, normal)
-            for step in range(1, 3):
-                self.planner.plan(1.0 + 0.01 * step, 1e-5 * step, normal)
-            self.planner.advance_at(1.0)
-            self.planner.stop(1.04)
+        # On a path on which no joint moves: a posture from which any arm can advance is not known.
+        rest = np.zeros(self.arm.dof)
+        path = NormalPath(self.direction, -1e-2, 1e-2, np.zeros((DEGREE + 1, self.arm.dof)))
+        path.derivatives(0.0)
+        planner = AdvancePlanner(self.arm, self.limits, self.planner.settings)
+        planner.reset(rest)
+        planner.path, planner.motion_limits = path, MotionLimits(0.1, 1.0, 100.0)
+        planner.plan(1.0, 1e-3, self.direction)
+        planner.stop(1.01)
 
 
 def make_arm(parameters: SlipControlParameters) -> ArmParts | None:

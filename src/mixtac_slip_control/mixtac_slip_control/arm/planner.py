@@ -293,11 +293,13 @@ class AdvancePlanner:
     ) -> PlannedTrajectory | None:
         branch = self._branch(now_ns)
         shape = (path.coefficients, path.centre, path.half)
+        _, tip_acceleration, tip_jerk = self._limits.tip
         new = replan(
             *shape,
             self._at(branch),
             target,
             (motion.speed, motion.acceleration, motion.jerk),
+            (self.settings.share * tip_acceleration, self.settings.share * tip_jerk),
             self._limits.acceleration * self.settings.share,
             self._limits.jerk * self.settings.share,
             self._dt,

@@ -207,6 +207,7 @@ def replan(
     start: Floats,
     target: float,
     motion: tuple[float, float, float],
+    tip: tuple[float, float],
     acceleration_limit: Floats,
     jerk_limit: Floats,
     dt: float,
@@ -222,12 +223,16 @@ def replan(
         half: Half its width [m].
         start: Position [m], velocity [m/s], acceleration [m/s2] (3,).
         target: Position to end at [m].
-        motion: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the coordinate.
+        motion: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the coordinate; the
+            smoothest motion may exceed the last two where the joints allow it.
+        tip: Acceleration [m/s2] and jerk [m/s3] that the coordinate must never exceed.
         acceleration_limit: Acceleration limits of the joints (n,) [rad/s2].
         jerk_limit: Jerk limits of the joints (n,) [rad/s3].
         dt: Time between points [s].
     """
     V, A, J = motion
+    rates = (V, tip[0], tip[1])
+    limits = acceleration_limit, jerk_limit
     shortest = 0
     for share in SHARES:
         phases = fastest(target - start[0], start[1], start[2], V * share, A * share, J * share)
@@ -236,15 +241,15 @@ def replan(
             shortest = jerk.size
             # Where rounding up to the grid leaves time, the smoothest motion is as early.
             states: Floats = _smooth(shortest, start, target, dt)
-            if _fits(states, coefficients, centre, half, V, acceleration_limit, jerk_limit, dt):
+            if _fits(states, coefficients, centre, half, rates, limits, dt):
                 return states
         land(jerk, start, target, dt)
         states = integrate(jerk, start, target, dt)
-        if _fits(states, coefficients, centre, half, V, acceleration_limit, jerk_limit, dt):
+        if _fits(states, coefficients, centre, half, rates, limits, dt):
             return states
     for cells in range(shortest, LONGEST):
         states = _smooth(cells, start, target, dt)
-        if _fits(states, coefficients, centre, half, V, acceleration_limit, jerk_limit, dt):
+        if _fits(states, coefficients, centre, half, rates, limits, dt):
             return states
     return np.empty((0, 3))
 
@@ -273,13 +278,16 @@ def _fits(
     coefficients: Floats,
     centre: float,
     half: float,
-    V: float,
-    acceleration_limit: Floats,
-    jerk_limit: Floats,
+    rates: tuple[float, float, float],
+    limits: tuple[Floats, Floats],
     dt: float,
 ) -> bool:
+    V, A, J = rates
     for k in range(states.shape[0]):
-        if not (abs(states[k, 0] - centre) <= half and abs(states[k, 1]) <= V):
+        s, v, a = states[k]
+        if not (abs(s - centre) <= half and abs(v) <= V and abs(a) <= A):
+            return False
+        if k > 0 and not abs(a - states[k - 1, 2]) <= J * dt:
             return False
     joints = joint_states(coefficients, centre, half, states)
-    return not exceeds(joints, jerk_limit, acceleration_limit, dt)
+    return not exceeds(joints, limits[1], limits[0], dt)

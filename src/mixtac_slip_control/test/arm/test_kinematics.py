@@ -77,6 +77,18 @@ def test_a_pose_out_of_reach_is_refused():
         ARM.solve(far, READY)
 
 
+@pytest.mark.parametrize('q', [(1.2, 0.3, 0.7, 0.1, 1.3), (0.0, 0.5, 1.0, 0.5, 0.0)])
+def test_an_arm_of_five_joints_reaches_what_lies_in_its_plane(q):
+    text = '<robot name="r">'
+    for i, axis in enumerate(('0 0 1', '0 1 0', '0 1 0', '0 1 0', '0 0 1')):
+        text += f"""<joint name="j{i}" type="continuous"><parent link="l{i}"/>
+          <child link="l{i + 1}"/><origin xyz="0 0 0.2"/><axis xyz="{axis}"/></joint>"""
+    arm = SerialArm.from_urdf(text + '</robot>')
+    wanted = arm.pose(np.array(q))
+    wanted[:3, 3] += 1e-3 * wanted[:3, 2]
+    assert np.allclose(arm.pose(arm.solve(wanted, np.array(q))), wanted, atol=1e-10)
+
+
 def test_an_arm_needs_a_joint_that_moves():
     text = (
         '<robot name="r"><joint name="a" type="fixed"><parent link="a"/><child link="b"/></joint>'

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mixtac_node.parameters import ParameterError
+from mixtac_slip_control.arm import planner as planning
 from mixtac_slip_control.arm.kinematics import SerialArm, fr3_urdf
 from mixtac_slip_control.arm.model import TrajectoryBackend, make_arm, open_backend
 from mixtac_slip_control.errors import BackendError, SlipControlError
@@ -19,6 +20,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+
+
+def stretched(kind: str) -> str:
+    """Return the URDF of an arm that is singular in the middle of its joints' ranges."""
+    text = '<robot name="r">'
+    for i, axis in enumerate(('0 0 1', '0 1 0', '0 1 0', '0 1 0', '0 0 1')):
+        text += (
+            f'<joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+            f'<origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'
+            '<limit lower="-6.28" upper="6.28" velocity="2"/></joint>'
+        )
+    return text + '</robot>'
 
 
 def test_none_is_no_arm() -> None:
@@ -77,6 +90,32 @@ def test_an_arm_from_a_file_plans(tmp_path: Path) -> None:
     assert planned is not None
     moved = parts.arm.pose(planned.q[-1])[:3, 3] - parts.arm.pose(READY)[:3, 3]
     assert moved == pytest.approx([0.0, 0.0, -1e-4], abs=1e-7)
+
+
+@pytest.mark.parametrize('kind', ['fr3', 'revolute', 'continuous'])
+def test_what_plans_and_stops_has_run_once_before_it_is_needed(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = set()
+
+    def noted(name: str) -> None:
+        kernel = getattr(planning, name)
+
+        def run(*given: object) -> object:
+            ran.add(name)
+            return kernel(*given)
+
+        monkeypatch.setattr(planning, name, run)
+
+    kernels = {'replan', 'joint_states', 'stopping_distance'}
+    for name in kernels:
+        noted(name)
+    path = tmp_path / 'arm.urdf'
+    path.write_text(fr3_urdf() if kind == 'fr3' else stretched(kind))
+    parts = make_arm(SlipControlParameters(arm=str(path), joint_acceleration=0.1, lead=0.2))
+    assert parts is not None
+    assert ran == kernels
+    assert parts.planner.path is None
 
 
 @pytest.mark.parametrize(

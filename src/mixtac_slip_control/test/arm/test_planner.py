@@ -81,6 +81,23 @@ def test_the_first_tenth_of_a_millimetre_takes_what_the_arm_allows(planner):
     assert optimum - 1e-9 <= moving <= optimum + 2e-3
 
 
+def test_the_tip_keeps_its_own_limits_where_the_joints_allow_more():
+    limits = JointLimits.from_arm(ARM, 10.0, 5000.0, tip=(1.0, 1.0, 400.0))
+    planner, rng = AdvancePlanner(ARM, limits), np.random.default_rng(1)
+    planner.reset(READY, X)
+    now, worst, h = 5.0, 0.0, 1e-4
+    for _ in range(300):
+        now += rng.choice([2e-3, 5e-3, 0.03])
+        trajectory = planner.plan(now, float(rng.uniform(0.0, 1e-3)), X)
+        if trajectory is not None:
+            t = trajectory.stamp_s + trajectory.times_s
+            places = np.array(
+                [[planner.advance_at(each + k * h) for k in (-1, 0, 1)] for each in t]
+            )
+            worst = max(worst, np.abs(places @ (1.0, -2.0, 1.0)).max() / h**2)
+    assert 0.8 < worst < 0.96
+
+
 def test_stop_brakes_within_the_limits_and_comes_to_rest(planner):
     planner.plan(5.0, 0.02, X)
     speed = (planner.advance_at(5.0505) - planner.advance_at(5.0495)) / 1e-3
