@@ -32,6 +32,8 @@ PACKAGES = tuple(
 """Where another interpreter finds these packages, before its own ones."""
 READY_S = 20.0
 """Longest wait for the first state of the robot."""
+PIPE_BYTES = 1 << 20
+"""Room for trajectories that the process has not read yet: the largest have 100 kB."""
 STOP_S = 5.0
 """Longest wait for the arm to come to rest on request."""
 
@@ -61,8 +63,11 @@ class LibfrankaBackend:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             bufsize=0,
+            pipesize=PIPE_BYTES,
             env={**os.environ, 'PYTHONPATH': os.pathsep.join(PACKAGES)},
         )
+        if self._process.stdin is not None:
+            os.set_blocking(self._process.stdin.fileno(), False)
         self._latest: bytes | None = None
         self._late = 0
         self._words = ''
@@ -142,13 +147,19 @@ class LibfrankaBackend:
 
     def _write(self, data: bytes) -> None:
         stream = self._process.stdin
+        if stream is None:
+            raise BackendError('the process that drives the arm has no input')
         try:
-            if stream is not None:
-                stream.write(data)
-                return
+            written = stream.write(data)
         except (OSError, ValueError) as error:
             raise BackendError(f'the process that drives the arm has ended: {error}') from error
-        raise BackendError('the process that drives the arm has no input')
+        if written != len(data):
+            # The rest of it must not be read as the next one; without its client the arm stops.
+            self._process.kill()
+            raise BackendError(
+                'the process that drives the arm takes no trajectories',
+                remedy='start slip control again, on a host with less load',
+            )
 
     def _read_states(self) -> None:
         stream = self._process.stdout

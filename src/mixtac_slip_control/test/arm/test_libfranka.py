@@ -11,6 +11,7 @@ import importlib.util
 import os
 import socket
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -20,7 +21,9 @@ import pytest
 from fr3_mjcf import fr3_mjcf
 
 from mixtac_slip_control.arm.libfranka import LibfrankaBackend
+from mixtac_slip_control.arm.libfranka_loop import JOINTS, STATE
 from mixtac_slip_control.arm.model import make_arm
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 
@@ -165,6 +168,36 @@ def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(cont
     assert late == 0
     assert sent > 50
     assert farthest > 3e-4
+
+
+def test_a_process_that_takes_no_trajectories_is_ended(tmp_path):
+    """Its states go on, but nothing that is sent to it is read."""
+    child, interpreter = tmp_path / 'child.py', tmp_path / 'python'
+    child.write_text(
+        'import os, struct, time\n'
+        'while os.getppid() > 1:\n'
+        f'    state = struct.pack({STATE.format!r}, time.time_ns(), 0, *[0.0] * {3 * JOINTS})\n'
+        '    os.write(1, state)\n'
+        '    time.sleep(0.01)\n'
+    )
+    interpreter.write_text(f'#!/bin/sh\nexec {sys.executable} {child}\n')
+    interpreter.chmod(0o755)
+    rest = np.zeros((600, JOINTS))
+    times = 1e-3 * np.arange(1, 601)
+    trajectory = PlannedTrajectory(0, times, rest, rest, rest, tuple('1234567'))
+    backend = LibfrankaBackend(ADDRESS, str(interpreter))
+    backend.send(trajectory)
+
+    def send_on():
+        for _ in range(1000):
+            backend.send(trajectory)
+
+    with pytest.raises(BackendError) as caught:
+        send_on()
+    assert caught.value.remedy
+    backend.stop()
+    with pytest.raises(BackendError):
+        backend.state()
 
 
 def test_a_missing_client_library_is_named():
