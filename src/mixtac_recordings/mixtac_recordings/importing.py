@@ -25,14 +25,7 @@ from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_recordings.bag import BagFile, check_new, find_bags
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import (
-    AEDAT4_FILE,
-    HDF5_FILE,
-    PACKET_US,
-    Counts,
-    bag_wrenches,
-    topic_file,
-)
+from mixtac_recordings.export import PACKET_US, Counts, bag_wrenches
 from mixtac_recordings.recording import (
     AEDAT4_SUFFIX,
     Piece,
@@ -40,6 +33,7 @@ from mixtac_recordings.recording import (
     RecordingError,
     Selection,
 )
+from mixtac_recordings.sinks import AEDAT4_FILE, HDF5_FILE, topic_file
 from mixtac_recordings.stream_writer import StreamWriter
 from mixtac_recordings.tables import AXES, UNITS, Rows, Tables, open_tables
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of any program: csv, NPZ and HDF5 files, read some rows at a time.
 
-Tables are named and laid out as `mixtac_recordings.export` writes them; of files of others, the
+Tables are named and laid out as `mixtac_recordings.sinks` writes them; of files of others, the
 usual names of columns are understood (`COLUMNS`), and HDF5 files in the layout of the DSEC data set
 (`events/p, x, y, t` and `t_offset`).
 """
@@ -26,9 +26,9 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from mixtac_recordings.export import HDF5_SUFFIXES, UNITS_FILE, open_hdf5
 from mixtac_recordings.messages import BIT_SHIFT
 from mixtac_recordings.recording import RecordingError
+from mixtac_recordings.sinks import HDF5_SUFFIXES, UNITS_FILE, open_hdf5
 
 AXES: Final = 'xyz'
 VECTORS: Final = ('force', 'torque', 'acceleration', 'angular_velocity')
@@ -78,7 +78,7 @@ class Tables:
     Attributes:
         path: As given.
         names: Names of the tables.
-        exported: Whether they are arrays in the units of `mixtac_recordings.export`.
+        exported: Whether they are arrays in the units of `mixtac_recordings.sinks`.
         headings: Headings of a table as they are in the file, by its name; arrays have none.
     """
 

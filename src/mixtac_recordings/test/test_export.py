@@ -27,16 +27,9 @@ from mixtac_recordings.aedat4 import events_packet, frame_packet, samples_packet
 from mixtac_recordings.aedat4_file import Aedat4File, Aedat4Writer
 from mixtac_recordings.bag import blank_message
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import (
-    FORMATS,
-    PACKET_US,
-    Aedat4Sink,
-    CsvSink,
-    GrowingNpz,
-    NpzSink,
-    export_recording,
-)
+from mixtac_recordings.export import FORMATS, PACKET_US, export_recording
 from mixtac_recordings.recording import RecordingError, RecordingInfo
+from mixtac_recordings.sinks import Aedat4Sink, CsvSink, GrowingNpz, NpzSink
 
 START_US = 1_790_000_000_000_000
 CLIENT = Path(__file__).with_name('aedat4_reader.py')

@@ -24,7 +24,7 @@ from mixtac_recordings.aedat4 import events_packet, frame_packet
 from mixtac_recordings.bag import BagFile, find_bags, fit_path
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.dataset import folder_facts
-from mixtac_recordings.export import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink, export_recording
+from mixtac_recordings.export import export_recording
 from mixtac_recordings.importing import TableOptions, import_recording
 from mixtac_recordings.recording import (
     DamagedRecordingError,
@@ -32,6 +32,7 @@ from mixtac_recordings.recording import (
     RecordingInfo,
     Selection,
 )
+from mixtac_recordings.sinks import Aedat4Sink, CsvSink, Hdf5Sink, NpzSink
 from mixtac_recordings.summary import summarise
 
 START_US = 1_790_000_000_000_000
