@@ -33,7 +33,7 @@ from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import TareError, reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
-from mixtac_fger.weights import find_model, read_model
+from mixtac_fger.weights import MODEL_REMEDY, find_model, read_model
 from mixtac_msgs.msg import Contact, ForceQuality
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
@@ -121,7 +121,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         with self._diagnostics.compiling('the packet codec'):
             warm_up_codec()
         with self._diagnostics.compiling(PICTURE_KERNELS):
-            warm_up(open_estimator(model))
+            forces = warm_up(open_estimator(model))
+        if not forces:
+            self._refusal = ModelError(f'{path} gives no force', remedy=MODEL_REMEDY)
+            self.get_logger().error(str(self._refusal))
+            return TransitionCallbackReturn.FAILURE
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)

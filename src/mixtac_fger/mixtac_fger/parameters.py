@@ -10,7 +10,7 @@ from typing import Any, Final
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.displacement import skin_scale
 from mixtac_fger.weights import DEFAULT_MODEL
-from mixtac_node.parameters import fixed, parameter
+from mixtac_node.parameters import ParameterError, fixed, parameter
 
 POLICIES: Final = ('withhold', 'hold', 'publish')
 """What becomes of a force that cannot be trusted; the first is the default."""
@@ -99,6 +99,18 @@ class FgerParameters:
     image_transport: str = parameter('raw', choices=('raw', 'compressed'))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))
+
+    def __post_init__(self) -> None:
+        """Check values against each other.
+
+        Raises:
+            ParameterError: A contact would end above the force at which it begins.
+        """
+        if self.contact_off > self.contact_on:
+            raise ParameterError(
+                f'parameter contact_off = {self.contact_off:g} N: give at most contact_on ='
+                f' {self.contact_on:g} N'
+            )
 
     def contact_settings(self, focal_px: float, axis_px: tuple[float, float]) -> ContactSettings:
         """Return how contacts are found by a camera; see `mixtac_fger.displacement.skin_scale`."""
