@@ -25,6 +25,8 @@ from mixtac_alignment.histories import (
     ForceHistory,
     FrameHistory,
     by_cell,
+    follow_stamps,
+    has_restarted,
     reduce_frame,
 )
 from mixtac_alignment.parameters import AlignmentParameters
@@ -45,8 +47,6 @@ MOST_EDGES = 10_000
 """Edges of each clock that are kept, at most."""
 WAITING = 32
 """Frames, or exposures, that wait for each other."""
-RESTART_NS = 1_000_000_000
-"""A larger step back is a restarted clock [ns]."""
 
 
 class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
@@ -122,11 +122,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_half(self, message: Image | FrameExposure) -> None:
         self._halves += 1
         stamp_ns = stamp_to_ns(message.header.stamp)
-        if stamp_ns < self._newest_ns - RESTART_NS:
-            # What waits is of the clock before, and would push out all that is new.
-            for queue in self._pairs.queues:
-                queue.clear()
-        self._newest_ns = stamp_ns
+        self._newest_ns = follow_stamps(self._pairs.queues, stamp_ns, self._newest_ns)
 
     def _on_frame(self, image: Image, exposure: FrameExposure) -> None:
         self._paired += 1
@@ -150,7 +146,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _keep_edge(self, edges: Edges, stamp_ns: int) -> None:
         """Keep an edge as long as everything else; forget all where its clock has restarted."""
-        if edges and stamp_ns < edges[-1][0] - RESTART_NS:
+        if edges and has_restarted(stamp_ns, edges[-1][0]):
             self._camera_edges.clear()
             self._reference_edges.clear()
         edges.append((stamp_ns, time.monotonic_ns()))

@@ -12,6 +12,7 @@ from message_filters import ApproximateTimeSynchronizer, Subscriber
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
+from mixtac_alignment.histories import follow_stamps
 from mixtac_alignment.parameters import ForceErrorParameters
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, qos, run
@@ -22,8 +23,6 @@ WAITING = 50
 """Estimates, or samples of the reference, that wait for each other; 0.1 s of estimates."""
 SLOP_S = 0.001
 """Largest difference of the stamps in a pair [s]."""
-RESTART_NS = 1_000_000_000
-"""A larger step back is a restarted clock [ns]."""
 
 
 class RunningError:
@@ -86,11 +85,7 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_half(self, message: topics.ForceMessage) -> None:
         stamp_ns = stamp_to_ns(message.header.stamp)
-        if stamp_ns < self._newest_ns - RESTART_NS:
-            # What waits is of the clock before, and would push out all that is new.
-            for queue in self._pairs.queues:
-                queue.clear()
-        self._newest_ns = stamp_ns
+        self._newest_ns = follow_stamps(self._pairs.queues, stamp_ns, self._newest_ns)
 
     def _on_force(self, _message: topics.ForceMessage) -> None:
         self._estimates += 1

@@ -12,6 +12,7 @@ latency of the event pixels. `ForceHistory` holds samples of the reference force
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -76,6 +77,27 @@ BIN_US: Final = 500
 """Width of a bin [us]: bursts of an impulse last 2 to 20 ms."""
 RESTART_US: Final = 1_000_000
 """A larger step back of a clock is a restart of it [us]."""
+
+
+def has_restarted(stamp_ns: int, newest_ns: int) -> bool:
+    """Return whether a clock has restarted between two stamps [ns]."""
+    return stamp_ns < newest_ns - 1000 * RESTART_US
+
+
+def follow_stamps(queues: Iterable[Any], stamp_ns: int, newest_ns: int) -> int:
+    """Empty what waits to be paired where its clock has restarted; return the newest stamp [ns].
+
+    What waits is of the clock before, and would push out all that is new.
+
+    Args:
+        queues: Those of a synchroniser of `message_filters`.
+        stamp_ns: Stamp of a message that has just come.
+        newest_ns: That of the one before.
+    """
+    if has_restarted(stamp_ns, newest_ns):
+        for queue in queues:
+            queue.clear()
+    return stamp_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -115,23 +115,24 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 _reference_file(settings, self._camera.serial), estimator.reference
             )
         except MixtacError as error:
-            self._refusal = error
-            self.get_logger().error(f'{settings.model}: {error}')
-            return TransitionCallbackReturn.FAILURE
+            return self._refuse(error)
         with self._diagnostics.compiling('the packet codec'):
             warm_up_codec()
         with self._diagnostics.compiling(PICTURE_KERNELS):
             forces = warm_up(open_estimator(model))
         if not forces:
-            self._refusal = ModelError(f'{path} gives no force', remedy=MODEL_REMEDY)
-            self.get_logger().error(str(self._refusal))
-            return TransitionCallbackReturn.FAILURE
+            return self._refuse(ModelError('it gives no force', remedy=MODEL_REMEDY))
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
         self._open_outputs()
         self._diagnostics.hardware_id = settings.model
         return super().on_configure(state)
+
+    def _refuse(self, error: MixtacError) -> TransitionCallbackReturn:
+        self._refusal = error
+        self.get_logger().error(f'{self._settings.model}: {error}')
+        return TransitionCallbackReturn.FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start estimating."""

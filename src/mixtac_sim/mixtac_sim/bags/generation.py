@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,6 +14,7 @@ from typing import Any, Final
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+from mixtac_node.files import locked
 from mixtac_recordings.dataset import FILE_NAME, DatasetDescription
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
@@ -123,22 +122,19 @@ def generate(
 @contextlib.contextmanager
 def _exclusive(folder: Path) -> Iterator[None]:
     """Keep other runs out of a folder, which is made if need be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise RecordingError(
-            f'cannot use folder {folder}: {error}', remedy='choose another folder'
-        ) from error
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with contextlib.ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(locked(folder, wait=False))
+        except BlockingIOError as error:
+            raise RecordingError(
+                f'another run is writing to {folder}', remedy='wait until it ends'
+            ) from error
+        except OSError as error:
+            raise RecordingError(
+                f'cannot use folder {folder}: {error}', remedy='choose another folder'
+            ) from error
         yield
-    except BlockingIOError as error:
-        raise RecordingError(
-            f'another run is writing to {folder}', remedy='wait until it ends'
-        ) from error
-    finally:
-        os.close(handle)
 
 
 def _claim(folder: Path, description: DatasetDescription) -> None:
