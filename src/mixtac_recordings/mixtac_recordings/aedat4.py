@@ -289,7 +289,7 @@ class Aedat4Recording:
             except DamagedRecordingError as error:
                 if not self._whole:
                     raise self._file.damaged(str(error)) from error
-                self._file.leave_out(int(packet['offset']) - 8, error)
+                self._file.leave_out(int(packet['offset']), error)
                 self.info = replace(self.info, damage=self._file.damage)
             except RecordingError as error:
                 raise RecordingError(f'{self._path}: {error}') from error

@@ -127,9 +127,14 @@ class Aedat4File:
         """
         return self._expanded(self._read(int(entry['offset']), int(entry['size'])))
 
-    def leave_out(self, at: int, why: object) -> None:
-        """Note that the packet whose header is at a byte is left out."""
-        note = f'packet at byte {at} left out ({why})'
+    def leave_out(self, offset: int, why: object) -> None:
+        """Note that a packet is left out.
+
+        Args:
+            offset: That of its entry, where its header of 8 bytes ends.
+            why: The reason.
+        """
+        note = f'packet at byte {offset - 8} left out ({why})'
         self.damage = '; '.join(filter(None, (self.damage, note)))
 
     def _header(self) -> tuple[int, Octets]:
@@ -182,7 +187,7 @@ class Aedat4File:
             try:
                 times = packet_times(self._expanded(packed), known.get(stream, ''))
             except DamagedRecordingError as error:
-                self.leave_out(offset, error)
+                self.leave_out(offset + 8, error)
             else:
                 if len(times):
                     found.append((stream, size, offset + 8, int(times[0]), int(times[-1])))

@@ -135,7 +135,7 @@ def _events(file: Aedat4File, packets: NDArray[Any], kind: str) -> Iterator[Even
             for part in parts:
                 Piece(int(part.t[0]), int(part.t[-1]), advances=True, events=part).check()
         except DamagedRecordingError as error:
-            file.leave_out(int(packet['offset']) - 8, error)
+            file.leave_out(int(packet['offset']), error)
         else:
             yield from parts
 
