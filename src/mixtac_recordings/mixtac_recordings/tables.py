@@ -145,6 +145,11 @@ class Tables:
                 f'{self.path}: {name} has {key} = {column[~finite].flat[0]}: a missing value',
                 remedy='remove the rows without a number',
             )
+        if key in {'x', 'y'} and column.dtype.kind == 'f' and (between := column % 1 != 0).any():
+            raise RecordingError(
+                f'{self.path}: {name} has {key} = {column[between][0]}, between two pixels',
+                remedy='give events as the camera sent them, without rectification',
+            )
 
     def _scaled(
         self, name: str, t: NDArray[Any], given: str, default: str, wanted_ns: int

@@ -170,12 +170,13 @@ def test_events_of_other_tables(tmp_path: Path, heading: str, unit: str, scale: 
         't,x,y,p\n0.5,2,3,0\n1.5,2,3,0\n',
         't,x,y,p\n5,nan,3,0\n',
         't,x,y,p\n5,2,3,inf\n',
+        't,x,y,p\n5,7.9,3,0\n',
         't,x,y,p\n5,2,3,0\nnan,2,3,0\n',
         '1,2,3\n',
     ],
     ids=[
         *('column', 'fractions', 'backwards', 'outside', 'letters', 'negative', 'empty'),
-        *('seconds', 'no coordinate', 'no polarity', 'no time', 'three columns'),
+        *('seconds', 'no coordinate', 'no polarity', 'between pixels', 'no time', 'three columns'),
     ],
 )
 def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str):
