@@ -206,46 +206,6 @@ class Reference:
         self._number += 1
 
 
-SETTLE_FRAMES = 12
-"""Frames after a contact in which the gel recovers and the force is not yet the zero."""
-REST_FRAMES = 50
-"""Frames at rest after which the zero may be renewed: 2 s at 25 Hz."""
-DRIFT_SHARE = 0.05
-"""Least share by which the drift follows a frame."""
-
-
-class ZeroWatch:
-    """Follows the force that frames show while nothing touches the sensor, since the latest tare.
-
-    Attributes:
-        drift: Its mean, before any calibration [N]; of the latest rest while something touches.
-    """
-
-    def __init__(self) -> None:
-        self.drift = 0.0
-        self._touched = False
-        self._rest = 0
-
-    @property
-    def due(self) -> bool:
-        """Whether a contact has ended and a long enough rest has followed."""
-        return self._touched and self._rest >= REST_FRAMES
-
-    def frame(self, force: float, *, free: bool, still: bool) -> None:
-        """Take a frame.
-
-        Args:
-            force: Its force [N].
-            free: Whether the picture shows no contact.
-            still: Whether neither the picture nor the force forbid a tare.
-        """
-        self._touched |= not free
-        self._rest = self._rest + 1 if free and still else 0
-        if self._rest > SETTLE_FRAMES:
-            share = max(1.0 / (self._rest - SETTLE_FRAMES), DRIFT_SHARE)
-            self.drift += (force - self.drift) * share
-
-
 def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -37,23 +37,15 @@ from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
 from mixtac_fger.features import EXPOSED_WINDOWS, correction_lag
 from mixtac_fger.frame_worker import FrameWorker, feel, seen
-from mixtac_fger.reference import Reference, TareError, ZeroWatch
-from mixtac_fger.validity import (
-    CONTACT,
-    HIGHEST_FORCE,
-    LEAST_LIKENESS,
-    LOWEST_FORCE,
-    Reason,
-    Release,
-    Validity,
-)
+from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
+from mixtac_fger.zero import CONTACT, Zero
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.contact_tracking import Touch
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
@@ -202,11 +194,11 @@ class ForceEstimator:
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
-        self._estimator = estimator
+        self._estimator, reference = estimator, estimator.reference
         self.contact = contact_tracker(contact, estimator)
         self._contact_wanted = True
-        if estimator.reference is not None:
-            estimator.reference.assume_free = assume_free
+        if reference is not None:
+            reference.assume_free = assume_free
         self._width_us = estimator.window_us
         # Of a calibrated model, whose forces are so many times those of the training.
         self._unit = getattr(estimator, 'force_unit', 1.0)
@@ -222,7 +214,7 @@ class ForceEstimator:
         self._validity = Validity(estimator.window_us, estimator.width)
         self._reason_now = Reason.TRUSTED
         self._saturated = self._other_camera = False
-        self._release, self._zero = Release(), ZeroWatch()
+        self._zero = None if reference is None else Zero(reference)
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
@@ -335,45 +327,19 @@ class ForceEstimator:
 
     def _renew_reference(self) -> None:
         """Make the present state zero; raises as `tare`."""
-        reference = self._estimator.reference
-        if reference is None:
+        if self._zero is None:
             raise TareError(
                 'this model has no no-contact reference', remedy='subtract the force at rest'
             )
         if self._frame is None or not self._recent:
             raise TareError(f'there are no estimates yet: {self._reason()}')
-        largest = self.force_scale * max(self._recent, key=abs)
-        if reference.known and abs(largest) > self.contact_threshold_n:
-            raise TareError(
-                f'in contact ({largest:.2f} N within the last {len(self._recent)} windows)',
-                remedy='release the sensor and try again',
-            )
         self._fetch()
         latest = self._encoded[-1] if self._encoded else self._frame
-        self._refuse_contact(reference, latest.picture)
-        reference.renew()
+        forces = [self.force_scale * each for each in self._recent]
+        self._zero.renew(latest.picture, forces, self.contact_threshold_n)
         self._other_camera = False
         self._estimator.clear()
-        self._release, self._zero = Release(), ZeroWatch()
         self._recent.clear()
-
-    def _refuse_contact(self, reference: Reference, picture: PictureFigures | None) -> None:
-        """Raise where the picture shows a contact, or cannot rule one out."""
-        if picture is None:
-            return
-        moved = picture.likeness >= LEAST_LIKENESS and abs(picture.outward) > CONTACT
-        if reference.known and moved:
-            raise TareError(
-                'in contact: the skin is displaced against the reference',
-                remedy='release the sensor and try again; delete the stored reference if it is that'
-                ' of a contact',
-            )
-        if not reference.known and not self._release.seen:
-            raise TareError(
-                'nobody knows whether something touched the sensor at the start, and no release'
-                ' was seen since',
-                remedy='touch the sensor, release it and try again, or set assume_free',
-            )
 
     def use_reference(self, array: NDArray[np.float32]) -> None:
         """Use a stored reference of the connected camera from now on.
@@ -403,7 +369,8 @@ class ForceEstimator:
 
     def _start_over(self) -> None:
         self._forget()
-        self._release, self._zero = Release(), ZeroWatch()
+        if self._zero is not None:
+            self._zero.restart()
 
     def reset(self) -> None:
         """Start over: the next still frames become the reference."""
@@ -436,7 +403,7 @@ class ForceEstimator:
             frame_force=self.frame_force,
             deviation=-1.0 if self._deviation is None else self._deviation,
             validity=self._reason_now.name,
-            zero_drift=self.force_scale * self._zero.drift,
+            zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
         )
 
     def _frame_age_us(self) -> int:
@@ -526,17 +493,9 @@ class ForceEstimator:
         self._validity.frame(
             frame.mid_us, frame.contrast, picture, force, then, vibrating=vibrating
         )
-        if picture is not None:
-            self._release.frame(picture)
-            self._watch_zero(frame.force, abs(picture.outward) < CONTACT)
-
-    def _watch_zero(self, force: float, apart: bool) -> None:
-        reference = self._estimator.reference
-        assert reference is not None  # noqa: S101  (the frame was compared with it)
-        free = apart if reference.known else self._release.seen
-        below = abs(self.force_scale * force) < self.contact_threshold_n
-        still = reference.progress == reference.frames
-        self._zero.frame(force, free=free, still=still and below)
+        if picture is not None and self._zero is not None:
+            light = abs(self.force_scale * frame.force) < self.contact_threshold_n
+            self._zero.frame(picture, frame.force, light=light)
 
     def _distrust(self, raw: float, age_us: int) -> Reason:
         """Return why a force cannot be trusted, before `force_scale` [N]."""
@@ -591,7 +550,7 @@ class ForceEstimator:
         self._frame = frame
         self._saturated = False
         self._count.frames += 1
-        if self.tare_on_release and self._zero.due:
+        if self.tare_on_release and self._zero is not None and self._zero.due:
             with contextlib.suppress(TareError):
                 self._renew_reference()
                 # The sensor is the same, and so are its usual rates and noise.

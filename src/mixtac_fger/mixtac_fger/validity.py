@@ -140,9 +140,6 @@ MOST_RATE = 4.0
 MOST_DISAGREEMENT, DISAGREEING_FRAMES = 1.5, 3
 """Frame force less estimate over `disagreement_scale`, the mean of so many frames; without a fault
 up to 1.1, but for two trials of vibration in which the estimate was wrong by 0.5 N."""
-CONTACT = 0.006
-"""Outward displacement that a contact makes [bins]: without one up to 0.005, of 0.1 N 0.009 to
-0.06; a release of 0.2 N draws the skin together by 0.015 and more."""
 LOWEST_FORCE, HIGHEST_FORCE = -0.5, 10.0
 """Range of the forces in training with a margin, before `force_scale` [N]."""
 HOLD_FRAMES = 5
@@ -439,25 +436,6 @@ class Validity:
     def _start_over(self) -> None:
         self._before, self._anchor = (0, None), None
         self._agreement.skip()
-
-
-class Release:
-    """Watches, while the zero is unknown, whether a contact has come or gone since the start."""
-
-    def __init__(self) -> None:
-        self._most = self._latest = 0.0
-
-    def frame(self, picture: PictureFigures) -> None:
-        """Take a frame's comparison with the frames of the start."""
-        self._latest = picture.outward
-        self._most = max(self._most, picture.outward)
-
-    @property
-    def seen(self) -> bool:
-        """Whether the skin drew together since the start, or was pushed apart and came back."""
-        if abs(self._latest) > CONTACT:
-            return self._latest < 0.0
-        return self._most > 2.0 * CONTACT
 
 
 def picture_findings(picture: PictureFigures) -> set[Reason]:

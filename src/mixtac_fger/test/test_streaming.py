@@ -15,9 +15,10 @@ from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.frame_worker import FrameWorker
-from mixtac_fger.reference import REST_FRAMES, TareError, ZeroWatch
+from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
+from mixtac_fger.zero import REST_FRAMES
 
 
 def still_frames(estimator: ForceEstimator, trial, count: int = 5) -> None:
@@ -252,23 +253,6 @@ def test_the_zero_is_watched_and_tared_after_a_release(model, trial):
     assert watched.status().zero_drift != 0.0
     noisy_frames(tared, darker, 4_000_000, 2 * REST_FRAMES)
     assert tared.status().tares == 1
-
-
-def test_drift_is_the_mean_force_at_rest():
-    watch, random = ZeroWatch(), np.random.default_rng(2)
-    for force in random.normal(0.04, 0.02, 200):
-        watch.frame(force, free=True, still=True)
-    assert watch.drift == pytest.approx(0.04, abs=0.01)
-    assert not watch.due
-    before = watch.drift
-    for free, still in ((False, True), (False, False), (True, False)) * 30:
-        watch.frame(1.0, free=free, still=still)
-    assert watch.drift == before
-    for rest in range(REST_FRAMES):
-        assert watch.due == (rest >= REST_FRAMES)
-        watch.frame(0.0, free=True, still=True)
-    assert watch.due
-    assert abs(watch.drift) < 0.02
 
 
 def test_another_camera_needs_a_zero_of_its_own(model, trial):

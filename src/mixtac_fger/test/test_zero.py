@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""When the zero may be renewed, and how its drift is followed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_fger.comparisons import PictureFigures
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.zero import CONTACT, REST_FRAMES, Zero
+
+SOUND = PictureFigures(
+    likeness=1.0,
+    fading=1.0,
+    roughness=1.0,
+    shading=0.0,
+    unevenness=0.0,
+    shift=0.0,
+    displacement=0.0,
+    outward=0.0,
+    sharpness=1.0,
+)
+
+
+def picture(outward: float, likeness: float = 1.0) -> PictureFigures:
+    return SOUND._replace(outward=outward, likeness=likeness)
+
+
+@pytest.fixture
+def reference(model) -> Reference:
+    """Return a reference of still frames."""
+    found = FgerEstimator(model).reference
+    shown = np.zeros(FgerConfig.from_dict(model.config).frame_shape, np.float32)
+    for _ in range(found.frames):
+        found.add(shown)
+    return found
+
+
+@pytest.mark.parametrize(
+    ('outward', 'released'),
+    [
+        ((), False),
+        ((0.0,), False),
+        ((2.0 * CONTACT, 0.0), False),
+        ((3.0 * CONTACT, 0.0), True),
+        ((3.0 * CONTACT,), False),
+        ((-2.0 * CONTACT,), True),
+        ((3.0 * CONTACT, 0.0, 2.0 * CONTACT), False),
+    ],
+)
+def test_a_release_draws_the_skin_together(reference, outward, released):
+    zero = Zero(reference)
+    for each in outward:
+        zero.frame(picture(each), 0.0, light=True)
+    assert zero.released == released
+    if released:
+        zero.renew(picture(outward[-1]), [0.0], 0.1)
+        assert reference.known
+        assert not zero.released
+        return
+    with pytest.raises(TareError):
+        zero.renew(picture(0.0), [0.0], 0.1)
+    assert not reference.known
+
+
+@pytest.mark.parametrize(
+    ('shown', 'force', 'accepted'),
+    [
+        (picture(0.0), 0.0, True),
+        (picture(0.0), 0.2, False),
+        (picture(0.0), -0.2, False),
+        (picture(2.0 * CONTACT), 0.0, False),
+        (picture(-2.0 * CONTACT), 0.0, False),
+        (picture(2.0 * CONTACT, likeness=0.1), 0.0, True),
+        (None, 0.0, True),
+    ],
+    ids=['free', 'force', 'pull', 'pressed', 'drawn', 'another gel', 'no picture'],
+)
+def test_a_known_zero_is_not_renewed_in_contact(reference, shown, force, accepted):
+    reference.use(reference.array)
+    zero, before = Zero(reference), reference.number
+    if accepted:
+        zero.renew(shown, [0.01, force, 0.0], 0.1)
+    else:
+        with pytest.raises(TareError):
+            zero.renew(shown, [0.01, force, 0.0], 0.1)
+    assert (reference.number != before) == accepted
+
+
+def test_drift_is_the_mean_force_at_rest(reference):
+    reference.assume_free = True
+    zero, random = Zero(reference), np.random.default_rng(2)
+    free, pressed = picture(0.0), picture(2.0 * CONTACT)
+    for force in random.normal(0.04, 0.02, 200):
+        zero.frame(free, force, light=True)
+    assert zero.drift == pytest.approx(0.04, abs=0.01)
+    assert not zero.due
+    before = zero.drift
+    for shown, light in ((pressed, True), (pressed, False), (free, False)) * 30:
+        zero.frame(shown, 1.0, light=light)
+    assert zero.drift == before
+    for rest in range(REST_FRAMES):
+        assert zero.due == (rest >= REST_FRAMES)
+        zero.frame(free, 0.0, light=True)
+    assert zero.due
+    assert abs(zero.drift) < 0.02
