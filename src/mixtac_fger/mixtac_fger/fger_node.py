@@ -10,10 +10,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PointStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_srvs.srv import Trigger
 
 from mixtac_events.codec import warm_up as warm_up_codec
@@ -21,7 +19,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_events.packets import CodecError, OwnPacket, read_packet
 from mixtac_fger.config import ModelError
-from mixtac_fger.contact_messages import fill_cloud, fill_contact, fill_field, fill_point, metric
+from mixtac_fger.contact_messages import ContactOutputs, stamp
 from mixtac_fger.estimator import (
     CameraFacts,
     check_camera,
@@ -34,21 +32,20 @@ from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import TareError, reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import MODEL_REMEDY, find_model, read_model
-from mixtac_msgs.msg import Contact, ForceQuality
+from mixtac_msgs.msg import ForceQuality
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.files import state_file
 from mixtac_node.process import freeze_loaded
-from mixtac_node.stamps import stamp_to_us, us_to_stamp
+from mixtac_node.stamps import stamp_to_us
 
 if TYPE_CHECKING:
     from lifecycle_msgs.srv import ChangeState
     from numpy.typing import NDArray
-    from sensor_msgs.msg import CameraInfo, CompressedImage, TimeReference
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
-    from mixtac_fger.contact_tracking import ContactTracker, Touch
-    from mixtac_fger.estimator import Estimate, Estimator
+    from mixtac_fger.estimator import Estimator
     from mixtac_fger.shear import Shear
     from mixtac_fger.weights import Model
 
@@ -76,10 +73,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._inputs: list[object] = []
         self._force: Any = None
         self._quality: Any = None
-        self._contact: tuple[Any, ...] = ()
-        self._located = Contact()
-        self._field: tuple[Any, ...] = ()
-        self._lens, self._field_us = (0.0, (0.0, 0.0)), 0
+        self._outputs = ContactOutputs(self)
+        self._lens = 0.0, (0.0, 0.0)
         self._message = topics.WrenchWriter(self._settings.frame_id)
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
@@ -125,7 +120,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
-        self._open_outputs()
+        self._outputs.open(settings)
         self._diagnostics.hardware_id = settings.model
         return super().on_configure(state)
 
@@ -138,12 +133,12 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         """Start estimating."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
         settings = self._settings
-        self._open_outputs()
+        self._outputs.open(settings)
         self._estimator = open_estimator(self._model)
         self._trusted = None
         if self._reference is not None and self._estimator.reference is not None:
             self._estimator.reference.use(self._reference)
-        contact = settings.contact_settings(*self._lens) if self._contact else None
+        contact = settings.contact_settings(*self._lens) if self._outputs.offered else None
         options = settings.estimator_options()
         self._feed = LiveFeed(
             ForceEstimator(self._estimator, background_frames=True, contact=contact, **options),
@@ -157,25 +152,6 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             self.subscribe_topic(frames, self._on_image),
         ]
         return super().on_activate(state)
-
-    def _open_outputs(self) -> None:
-        """Offer contact and displacement where they are wanted, and only there."""
-        field = self._settings.displacement != 'off'
-        contact = self._settings.contact or field
-        if (contact, field) == (bool(self._contact), bool(self._field)):
-            return
-        self._close_outputs()
-        if contact:
-            outputs = (topics.CONTACT, topics.CONTACT_POINT)
-            self._contact = tuple(self.publish_topic(each, managed=True) for each in outputs)
-        if field:
-            outputs = (topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS)
-            self._field = tuple(self.publish_topic(each, managed=True) for each in outputs)
-
-    def _close_outputs(self) -> None:
-        for publisher in (*self._contact, *self._field):
-            self.destroy_publisher(publisher)
-        self._contact = self._field = ()
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop estimating and forget the reference, unless it is stored."""
@@ -209,7 +185,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def _end(self) -> None:
         self.close()
-        self._close_outputs()
+        self._outputs.close()
         for publisher in (self._force, self._quality):
             if publisher is not None:
                 self.destroy_publisher(publisher)
@@ -347,81 +323,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         feed.published(len(estimates), packet.stamp_ns, now_ns)
         if self._quality.get_subscription_count():
             for estimate in estimates:
-                self._quality.publish(self._quality_of(estimate))
-        self._publish_touch(feed, estimates)
-
-    def _publish_touch(self, feed: LiveFeed, estimates: list[Estimate]) -> None:
-        """Publish contact and displacement; without a subscriber they are not even computed."""
-        contact, field = (
-            [each.get_subscription_count() > 0 for each in publishers]
-            for publishers in (self._contact, self._field)
-        )
-        feed.estimator.contact_wanted = any(contact) or any(field)
-        tracker = feed.estimator.contact
-        if tracker is None:
-            return
-        if any(contact):
-            self._publish_contact(feed, tracker, estimates, contact)
-        if any(field) and tracker.touch is not None:
-            self._publish_field(feed, tracker, tracker.touch, estimates[-1].end_us, field)
-
-    def _publish_contact(
-        self,
-        feed: LiveFeed,
-        tracker: ContactTracker,
-        estimates: list[Estimate],
-        wanted: list[bool],
-    ) -> None:
-        where = tracker.scale, feed.estimator.size
-        for estimate in estimates:
-            found = estimate.contact
-            if found is None:
-                continue
-            if wanted[0]:
-                # A located contact fills every field: no need for a new message.
-                message = self._located if found.shape is not None else Contact()
-                self._stamped(message, estimate.end_us)
-                fill_contact(message, found, estimate.frame_age_us, *where)
-                self._contact[0].publish(message)
-            if wanted[1] and found.shape is not None:
-                place = self._stamped(PointStamped(), estimate.end_us)
-                fill_point(place.point, found)
-                self._contact[1].publish(place)
-
-    def _publish_field(
-        self,
-        feed: LiveFeed,
-        tracker: ContactTracker,
-        touch: Touch,
-        end_us: int,
-        wanted: list[bool],
-    ) -> None:
-        """Publish the displacement of a new frame, or of each window."""
-        carried = self._settings.displacement == 'windows'
-        stamp_us = end_us if carried else tracker.frame_us
-        if stamp_us == self._field_us:
-            return
-        self._field_us = stamp_us
-        field, scale = touch.field, touch.scale
-        moved = metric(tracker.moved() if carried else field.moved, scale)
-        if wanted[0]:
-            image = self._stamped(Image(), stamp_us)
-            fill_field(image, moved)
-            self._field[0].publish(image)
-        if wanted[1]:
-            cloud = self._stamped(PointCloud2(), stamp_us)
-            fill_cloud(cloud, moved, field, scale, feed.estimator.size, PointField)
-            self._field[1].publish(cloud)
-
-    def _stamped(self, message: Any, stamp_us: int) -> Any:  # noqa: ANN401
-        message.header.stamp = us_to_stamp(stamp_us)
-        message.header.frame_id = self._settings.frame_id
-        return message
-
-    def _quality_of(self, estimate: Estimate) -> ForceQuality:
-        message = self._stamped(ForceQuality(), estimate.end_us)
-        fill_quality(message, estimate)
-        return message
+                quality = stamp(ForceQuality(), estimate.end_us, self._settings.frame_id)
+                fill_quality(quality, estimate)
+                self._quality.publish(quality)
+        self._outputs.publish(feed.estimator, estimates, self._settings)
 
     def _on_image(self, message: Image | CompressedImage) -> None:
         if self._feed is not None and not self._misfit:
