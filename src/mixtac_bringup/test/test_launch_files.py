@@ -157,6 +157,11 @@ def test_slip_control_takes_its_arm_and_detector():
     assert {"arm:='fr3'", "detector:='count'"} <= set(words(found[0]))
 
 
+def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
+    found, _ = processes('slip_control')
+    assert '-p' not in words(found[0])
+
+
 def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
     """Run a launch file while a function runs in a thread.
 
