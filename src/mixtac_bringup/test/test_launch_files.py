@@ -162,6 +162,11 @@ def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
     assert '-p' not in words(found[0])
 
 
+def test_numbers_may_have_an_exponent():
+    found, _ = processes('slip_control', max_total='2e-4', arm_address='172.16.0.2')
+    assert {'max_total:=0.0002', "arm_address:='172.16.0.2'"} <= set(words(found[0]))
+
+
 def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
     """Run a launch file while a function runs in a thread.
 

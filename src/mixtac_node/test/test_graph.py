@@ -41,14 +41,14 @@ def test_the_graph_is_read_with_what_ros_brings(tmp_path):
     # `ros2 launch` runs in the system's interpreter, the nodes in that of the environment.
     own = tmp_path / 'own.yaml'
     own.write_text('/**/driver:\n  ros__parameters:\n    serial: "0042"\n')
-    code = f'''
+    code = f"""
 import sys
 sys.modules.update(dict.fromkeys({FROM_PIP}))
 from pathlib import Path
 from mixtac_node.graph import sensor_graph
 for node in sensor_graph('virtual', align=True):
     print(node.command('mixtac', Path({str(own)!r})))
-'''
+"""
     subprocess.run([sys.executable, '-c', code], check=True, stdout=subprocess.DEVNULL)
 
 
