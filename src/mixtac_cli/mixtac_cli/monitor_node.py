@@ -96,7 +96,7 @@ class Receiver(ExitStack):
 
     def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
         super().__init__()
-        self._namespace = f'/{namespace.strip("/")}'
+        self._namespace = f'/{namespace.strip("/")}'.rstrip('/')
         self._node = self.enter_context(CommandNode.opened(name, namespace))
         self._stopping = threading.Event()
         self.callback(self._stop)
