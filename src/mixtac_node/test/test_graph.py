@@ -193,6 +193,8 @@ def test_rosbag2_subscribes_compatibly_and_with_long_queues():
     assert len(found) == len(TOPICS)
     assert found['/left/events']['depth'] >= 5000
     assert found['/left/ft']['reliability'] == 'best_effort'
+    # As the nodes take it.
+    assert '/left/ft' in rosbag2_qos('left', 'ft')
     assert found['/left/camera_clock']['durability'] == 'transient_local'
     for topic in TOPICS:
         if topic.name == '/ft_sensor/wrench':
