@@ -129,7 +129,9 @@ def up(
         start_nodes(processes, nodes, namespace, params_file, log_level)
         if autostart:
             _activate(namespace, nodes, processes, play=play)
-            Console().print(f'sensor active in namespace /{namespace}; press Ctrl-C to stop')
+            Console().print(
+                f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
+            )
         run_until(processes, seconds)
 
 
