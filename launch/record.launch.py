@@ -60,7 +60,10 @@ ARGUMENTS = [
         description='Run driver and estimator in one process',
     ),
     DeclareLaunchArgument(
-        'reference_topic', default_value=REFERENCE, description='Topic of the reference force'
+        'reference_topic',
+        default_value=REFERENCE,
+        description='Topic of the reference force, of the recorder and of a sensor that is '
+        'started, whatever params_file says',
     ),
     DeclareLaunchArgument(
         'recorder',
