@@ -48,7 +48,6 @@ RUN install -d -o mixtac -g mixtac /home/mixtac/.local/state/mixtac
 USER 10001
 WORKDIR /home/mixtac
 ENV MIXTAC_ROOT=/opt/mixtac \
-    NUMBA_CACHE_DIR=/home/mixtac/.cache/numba \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 HEALTHCHECK --interval=15s --timeout=12s --start-period=60s --retries=3 CMD ["healthcheck.sh", "force"]
 # As Ctrl-C does: the nodes end in order.

@@ -60,7 +60,10 @@ ARGUMENTS = [
         description='Run driver and estimator in one process',
     ),
     DeclareLaunchArgument(
-        'reference_topic', default_value=REFERENCE, description='Topic of the reference force'
+        'reference_topic',
+        default_value=REFERENCE,
+        description='Topic of the reference force, of the recorder and of a sensor that is '
+        'started, whatever params_file says',
     ),
     DeclareLaunchArgument(
         'recorder',
@@ -121,19 +124,20 @@ def _check(context):
 def _recording(context):
     """Return the actions that check and then record."""
     writer = _recorder(context)
-    ended = RegisterEventHandler(
-        OnProcessExit(
-            target_action=writer,
-            on_exit=[EmitEvent(event=Shutdown(reason='the recorder has ended'))],
-        )
-    )
+
+    def after_writer(event, context):
+        if event.returncode and not context.is_shutdown:
+            # An exception, unlike the event Shutdown, gives `ros2 launch` a status other than 0.
+            raise GraphError(f'the recorder has ended with status {event.returncode} (see above)')
+        return [EmitEvent(event=Shutdown(reason='the recorder has ended'))]
+
+    ended = RegisterEventHandler(OnProcessExit(target_action=writer, on_exit=after_writer))
     if value(context, 'check') == 'false':
         return [ended, writer]
     check = _check(context)
 
     def after_check(event, _context):
         if event.returncode:
-            # An exception, unlike the event Shutdown, gives `ros2 launch` a status other than 0.
             raise GraphError(
                 'not recorded (see the error above)', remedy='check:=false records anyway'
             )

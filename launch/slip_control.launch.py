@@ -45,9 +45,9 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         'arm',
-        default_value='none',
+        default_value='',
         description='Arm to move: none (report slip only), fr3, libfranka (an FR3 without '
-        'ros2_control), or the path of a URDF file',
+        'ros2_control), or the path of a URDF file; empty: that of params_file, by default none',
     ),
     DeclareLaunchArgument(
         'arm_backend',
@@ -57,9 +57,10 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         'detector',
-        default_value='flow',
-        choices=['flow', 'count'],
-        description="Slip detector: motion of the skin, or the paper's event count",
+        default_value='',
+        choices=['', 'flow', 'count'],
+        description="Slip detector: motion of the skin, or the paper's event count; empty: that of "
+        'params_file, by default flow',
     ),
     *(
         DeclareLaunchArgument(
@@ -75,8 +76,7 @@ ARGUMENTS = [
 
 def _nodes(context):
     """Return the actions of slip control."""
-    chosen = {name: value(context, name) for name in ('arm', 'detector')}
-    chosen |= given(context, 'arm_backend', *PARAMETERS)
+    chosen = given(context, 'arm', 'arm_backend', 'detector', *PARAMETERS)
     device = value(context, 'device')
     nodes = sensor_graph(device, slip=chosen) if device else [slip_control(chosen)]
     return node_actions(context, *nodes)

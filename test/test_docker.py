@@ -90,6 +90,12 @@ def test_python_comes_from_the_same_tool_and_files_as_everywhere(path):
         assert 'learn' in help_text
 
 
+@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
+def test_nodes_load_the_kernels_that_were_compiled_with_the_image(path):
+    # numba looks for them beside the sources, unless it is told to look elsewhere only.
+    assert all('NUMBA_CACHE_DIR' not in text for _, text in instructions(path))
+
+
 def test_images_bring_torch_only_when_asked_for():
     for name in ('Dockerfile', 'wheels.Dockerfile'):
         assert ('ARG', 'TORCH=none') in instructions(ROOT / 'docker' / name)

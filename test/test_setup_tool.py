@@ -170,3 +170,19 @@ def test_stale_paths_of_the_wheels_are_repaired(tool, tmp_path, monkeypatch):
     tool.repair_wheels(venv, tool.Steps(venv / 'record.json'))
     assert '/opt/python' not in export.read_text()
     assert str(site) in export.read_text()
+
+
+def test_in_the_clone_of_another_user_nothing_is_written(tool, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    monkeypatch.setattr(tool.os, 'access', lambda *_: False)
+    monkeypatch.setattr(tool.sys, 'argv', ['setup.py'])
+    monkeypatch.setattr(tool, 'set_up', lambda **_: None)
+    assert tool.main() == 0
+    assert not list(tmp_path.iterdir())
+
+    def due(**_):
+        raise PermissionError(13, 'Permission denied', str(tmp_path / 'log'))
+
+    monkeypatch.setattr(tool, 'set_up', due)
+    assert tool.main() == 1
+    assert str(tmp_path / 'log') in capsys.readouterr().err

@@ -20,13 +20,15 @@ case $_mixtac_flags in *u*) set -u ;; esac
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 # Fast DDS keeps more for a subscriber that is held up, and opens no port beyond this machine; a
 # profile of the user's own is left in place. Newer versions of Fast DDS read the second name.
-if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}${FASTDDS_DEFAULT_PROFILES_FILE:-}" ]; then
-    case $ROS_AUTOMATIC_DISCOVERY_RANGE in
-        LOCALHOST | OFF) _mixtac_dds=$_mixtac_root/config/fastdds/local.xml ;;
-        *) _mixtac_dds=$_mixtac_root/config/fastdds/network.xml ;;
-    esac
-    export FASTRTPS_DEFAULT_PROFILES_FILE=$_mixtac_dds FASTDDS_DEFAULT_PROFILES_FILE=$_mixtac_dds
-    unset _mixtac_dds
-fi
+case ${FASTRTPS_DEFAULT_PROFILES_FILE:-${FASTDDS_DEFAULT_PROFILES_FILE:-}} in
+    '' | "$_mixtac_root"/config/fastdds/*)
+        case $ROS_AUTOMATIC_DISCOVERY_RANGE in
+            LOCALHOST | OFF) _mixtac_dds=$_mixtac_root/config/fastdds/local.xml ;;
+            *) _mixtac_dds=$_mixtac_root/config/fastdds/network.xml ;;
+        esac
+        export FASTRTPS_DEFAULT_PROFILES_FILE=$_mixtac_dds FASTDDS_DEFAULT_PROFILES_FILE=$_mixtac_dds
+        unset _mixtac_dds
+        ;;
+esac
 export RCUTILS_LOGGING_BUFFERED_STREAM=1
 unset _mixtac_root _mixtac_venv _mixtac_flags

@@ -12,6 +12,7 @@ only: this is the first thing that runs on a fresh machine.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import fcntl
 import os
 import platform
@@ -21,6 +22,7 @@ import sys
 import sysconfig
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from setup_checks import check_place, check_python, check_system, full_ros
@@ -280,6 +282,23 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
         say(f'ready in {time.monotonic() - started:.0f} s')
 
 
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Wait for other set-ups of this folder. Who may not write here finds all done, or fails."""
+    log = ROOT / 'log'
+    if not os.access(log if log.exists() else ROOT, os.W_OK):
+        yield
+        return
+    log.mkdir(exist_ok=True)
+    with (log / 'setup.lock').open('w') as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say('waiting for another set-up of this folder to finish')
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def main() -> int:
     """Run the set-up; print one clear message where it cannot be done."""
     parser = argparse.ArgumentParser(description='set up the Mixtac environment and workspace')
@@ -297,21 +316,22 @@ def main() -> int:
         '--robot', action='store_true', help='only the nodes: no command line, no simulator'
     )
     options = parser.parse_args()
-    (ROOT / 'log').mkdir(exist_ok=True)
-    with (ROOT / 'log' / 'setup.lock').open('w') as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            say('waiting for another set-up of this folder to finish')
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
+    try:
+        with alone():
             set_up(robot=options.robot, extras=options.extras)
-        except SetupError as error:
-            print(f'error: {error}', file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print('interrupted: run the same command again to continue', file=sys.stderr)
-            return 130
+    except SetupError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return 1
+    except PermissionError as error:
+        print(
+            f'error: {error.filename} cannot be written: run `make setup` as the user to whom '
+            f'{ROOT} belongs',
+            file=sys.stderr,
+        )
+        return 1
+    except KeyboardInterrupt:
+        print('interrupted: run the same command again to continue', file=sys.stderr)
+        return 130
     return 0
 
 

@@ -157,6 +157,16 @@ def test_slip_control_takes_its_arm_and_detector():
     assert {"arm:='fr3'", "detector:='count'"} <= set(words(found[0]))
 
 
+def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
+    found, _ = processes('slip_control')
+    assert '-p' not in words(found[0])
+
+
+def test_numbers_may_have_an_exponent():
+    found, _ = processes('slip_control', max_total='2e-4', arm_address='172.16.0.2')
+    assert {'max_total:=0.0002', "arm_address:='172.16.0.2'"} <= set(words(found[0]))
+
+
 def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
     """Run a launch file while a function runs in a thread.
 
@@ -233,23 +243,36 @@ sys.exit(service.run())
 """
 
 
-@pytest.mark.dds
-@pytest.mark.timeout(300)
-def test_a_launch_that_a_node_ends_has_a_status_and_the_reason_last(tmp_path, ros_domain):
+def ended(name: str, env: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a launch file until it ends by itself; return its status and what it printed."""
     pytest.importorskip('launch', reason='launch is not installed')
     pytest.importorskip('launch_ros', reason='launch_ros is not installed')
-    own = tmp_path / 'own.yaml'
-    own.write_text('/**/fger:\n  ros__parameters:\n    model: /no/such.safetensors\n')
     # In a process of its own: what launch prints first decides where it always prints.
-    command = [sys.executable, '-c', PROGRAM, str(LAUNCH / 'sensor.launch.py')]
-    done = subprocess.run(
-        [*command, 'device:=none', f'params_file:={own}'],
+    command = [sys.executable, '-c', PROGRAM, str(LAUNCH / f'{name}.launch.py'), *arguments]
+    return subprocess.run(
+        command,
         check=False,
-        env=ros_domain,
+        env=env,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
     )
+
+
+@pytest.mark.dds
+@pytest.mark.timeout(300)
+def test_a_launch_that_a_node_ends_has_a_status_and_the_reason_last(tmp_path, ros_domain):
+    own = tmp_path / 'own.yaml'
+    own.write_text('/**/fger:\n  ros__parameters:\n    model: /no/such.safetensors\n')
+    done = ended('sensor', ros_domain, 'device:=none', f'params_file:={own}')
     assert done.returncode == 1
     assert '/no/such.safetensors' in done.stdout.splitlines()[-1]
+    assert 'Traceback' not in done.stdout
+
+
+@pytest.mark.dds
+def test_a_recorder_that_cannot_record_gives_the_launch_a_status(tmp_path, ros_domain):
+    arguments = [f'output:={tmp_path}', 'check:=false', 'recorder:=mixtac']
+    done = ended('record', ros_domain, *arguments)
+    assert done.returncode == 1
     assert 'Traceback' not in done.stdout

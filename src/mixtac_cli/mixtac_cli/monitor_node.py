@@ -33,7 +33,7 @@ from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_node import topics
-from mixtac_node.base_node import BaseNode, secure_start
+from mixtac_node.base_node import BaseNode, starting
 from mixtac_node.graph import NodeSpec
 from mixtac_node.lifecycle_node import LifecycleClient
 from mixtac_node.process import GraphError, ProcessGroup
@@ -59,7 +59,7 @@ class CommandNode(BaseNode, Node):  # type: ignore[misc]
             name: Name of the node.
             namespace: Its namespace.
         """
-        with secure_start():
+        with starting():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = cls(name, namespace=f'/{namespace.strip("/")}')
         try:
@@ -96,7 +96,7 @@ class Receiver(ExitStack):
 
     def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
         super().__init__()
-        self._namespace = f'/{namespace.strip("/")}'
+        self._namespace = f'/{namespace.strip("/")}'.rstrip('/')
         self._node = self.enter_context(CommandNode.opened(name, namespace))
         self._stopping = threading.Event()
         self.callback(self._stop)

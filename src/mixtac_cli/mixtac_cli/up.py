@@ -53,7 +53,7 @@ def start_nodes(
         GraphError: A package is not built, a parameter file does not exist, one of the nodes runs
             already, or `ROS_DOMAIN_ID` is not a number.
     """
-    names = [f'/{namespace.strip("/")}/{node.name}' for node in nodes]
+    names = [f'/{namespace.strip("/")}'.rstrip('/') + f'/{node.name}' for node in nodes]
     for claim in claim_nodes(names, ros_domain()):
         claim.close()
     for node in nodes:
@@ -129,7 +129,9 @@ def up(
         start_nodes(processes, nodes, namespace, params_file, log_level)
         if autostart:
             _activate(namespace, nodes, processes, play=play)
-            Console().print(f'sensor active in namespace /{namespace}; press Ctrl-C to stop')
+            Console().print(
+                f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
+            )
         run_until(processes, seconds)
 
 

@@ -295,18 +295,21 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
 
 
 @contextlib.contextmanager
-def secure_start() -> Iterator[None]:
-    """Name the cause where SROS 2 is on and ROS 2 cannot start with it.
+def starting() -> Iterator[None]:
+    """Name the cause where ROS 2 cannot start.
 
     Raises:
-        GraphError: No keys, or a middleware without security.
+        GraphError: ROS 2 cannot read an argument, a parameter file or a variable; or SROS 2 is on,
+            without keys or with a middleware without security.
     """
     try:
         yield
     except rclpy_implementation.RCLError as error:
-        if os.environ.get('ROS_SECURITY_ENABLE') != 'true':
-            raise
         cause = ' '.join(str(error).split())
+        if os.environ.get('ROS_SECURITY_ENABLE') != 'true':
+            raise GraphError(
+                f'ROS 2 cannot start: {cause}', remedy='correct what this names'
+            ) from error
         raise GraphError(
             f'ROS_SECURITY_ENABLE is set, but ROS 2 cannot start securely: {cause}',
             remedy='read docs/security.md; the wheels have no security, an installed ROS 2 has',
@@ -395,7 +398,7 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     try:
         if signals.received:
             return 0
-        with secure_start():
+        with starting():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             nodes = make_nodes()
         names = [node.get_fully_qualified_name() for node in nodes]

@@ -22,14 +22,15 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import cattrs
 import yaml
-from cattrs.errors import ForbiddenExtraKeysError
-from cattrs.gen import make_dict_structure_fn
 
 from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    # `ros2 launch` reads parameter files with an interpreter that has only what ROS brings.
+    import cattrs
 
 T = TypeVar('T')
 
@@ -241,6 +242,8 @@ def structure(data: object, cls: type[T], where: str) -> T:
     Raises:
         FileError: A key is unknown or missing, or a value has another type or is not allowed.
     """
+    import cattrs
+
     try:
         return _converter().structure(data, cls)
     except (
@@ -255,6 +258,8 @@ def structure(data: object, cls: type[T], where: str) -> T:
 
 @functools.cache
 def _converter() -> cattrs.Converter:
+    import cattrs
+
     converter = cattrs.Converter(forbid_extra_keys=True)
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, functools.partial(_plain, kind))
@@ -265,6 +270,8 @@ def _converter() -> cattrs.Converter:
 
 
 def _of_mapping(converter: cattrs.Converter, cls: type[Any]) -> Any:  # noqa: ANN401
+    from cattrs.gen import make_dict_structure_fn
+
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
 
     def checked(value: object, kind: type[Any]) -> Any:  # noqa: ANN401
@@ -284,6 +291,9 @@ def _plain(kind: type[Any], value: object, _: object = None) -> Any:  # noqa: AN
 
 
 def _reason(error: BaseException) -> str:
+    import cattrs
+    from cattrs.errors import ForbiddenExtraKeysError
+
     if isinstance(error, ForbiddenExtraKeysError):
         known = [each.name for each in dataclasses.fields(error.cl)]
         unknown = min(map(str, error.extra_fields))

@@ -396,8 +396,8 @@ def rosbag2_qos(
     """
     overrides: dict[str, dict[str, object]] = {}
     for topic in TOPICS:
-        name = reference_topic if topic.name == REFERENCE else topic.resolved(namespace)
-        overrides[name] = {
+        name = reference_topic if topic.name == REFERENCE else topic.name
+        overrides[replace(topic, name=name).resolved(namespace)] = {
             'history': 'keep_last',
             'depth': 1 if topic.latched else max(ROSBAG2_DEPTH, 5 * topic.depth),
             'reliability': 'reliable' if topic.reliable else 'best_effort',

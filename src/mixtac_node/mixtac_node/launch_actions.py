@@ -7,6 +7,7 @@ Needs `launch` and `launch_ros`, which come with a ROS installation only.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import subprocess
@@ -71,9 +72,17 @@ def value(context: LaunchContext, name: str) -> str:
 
 
 def given(context: LaunchContext, *names: str) -> dict[str, object]:
-    """Return the launch arguments that are not empty, with the types that YAML gives them."""
+    """Return the launch arguments that are not empty, with the types that ROS gives them."""
     texts = {name: value(context, name) for name in names}
-    return {name: yaml.safe_load(text) for name, text in texts.items() if text}
+    return {name: _typed(text) for name, text in texts.items() if text}
+
+
+def _typed(text: str) -> object:
+    typed = yaml.safe_load(text)
+    # YAML 1.1 takes 2e-4 for a text.
+    with contextlib.suppress(ValueError):
+        return float(typed) if isinstance(typed, str) else typed
+    return typed
 
 
 def node_actions(

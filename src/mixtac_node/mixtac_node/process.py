@@ -131,15 +131,17 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
         environment: Environment of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between
             loopback and all interfaces.
     """
-    if any(environment.get(name) for name in FASTDDS_VARIABLES):
-        return {}
-    local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
-    name = 'local.xml' if local else 'network.xml'
     # Cores that only set priorities run without ROS.
     from ament_index_python.packages import get_package_share_directory
 
-    path = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds' / name
-    return dict.fromkeys(FASTDDS_VARIABLES, str(path))
+    folder = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds'
+    # A shell may have one of ours from before the range was changed.
+    ours = {each.resolve() for each in folder.glob('*.xml')}
+    set_ = filter(None, map(environment.get, FASTDDS_VARIABLES))
+    if any(Path(each).resolve() not in ours for each in set_):
+        return {}
+    local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
+    return dict.fromkeys(FASTDDS_VARIABLES, str(folder / ('local.xml' if local else 'network.xml')))
 
 
 def ros_domain() -> int:

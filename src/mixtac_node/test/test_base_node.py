@@ -154,7 +154,7 @@ def test_security_without_keys_is_refused_with_one_line(start, ros_domain, tmp_p
         assert 'Traceback' not in stderr
 
 
-@pytest.mark.parametrize('value', ['gain:=99.0', 'gain:=fast'])
+@pytest.mark.parametrize('value', ['gain:=99.0', 'gain:=fast', 'gain:=[1, fast]'])
 def test_bad_start_values_are_refused(start, value: str):
     process = start(value)
     _, stderr = process.communicate(timeout=30)

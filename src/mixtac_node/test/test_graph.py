@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from itertools import pairwise
 
 import pytest
@@ -29,6 +31,25 @@ def names(nodes) -> list[str]:
 
 def overrides(nodes) -> dict[str, dict[str, object]]:
     return {node.name: dict(node.overrides) for node in nodes}
+
+
+FROM_PIP = ('cattrs', 'numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'lz4', 'safetensors', 'usb')
+"""Modules of `requirements/base.txt` but YAML."""
+
+
+def test_the_graph_is_read_with_what_ros_brings(tmp_path):
+    # `ros2 launch` runs in the system's interpreter, the nodes in that of the environment.
+    own = tmp_path / 'own.yaml'
+    own.write_text('/**/driver:\n  ros__parameters:\n    serial: "0042"\n')
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({FROM_PIP}))
+from pathlib import Path
+from mixtac_node.graph import sensor_graph
+for node in sensor_graph('virtual', align=True):
+    print(node.command('mixtac', Path({str(own)!r})))
+"""
+    subprocess.run([sys.executable, '-c', code], check=True, stdout=subprocess.DEVNULL)
 
 
 def test_a_camera_needs_driver_and_estimator():
@@ -172,6 +193,8 @@ def test_rosbag2_subscribes_compatibly_and_with_long_queues():
     assert len(found) == len(TOPICS)
     assert found['/left/events']['depth'] >= 5000
     assert found['/left/ft']['reliability'] == 'best_effort'
+    # As the nodes take it.
+    assert '/left/ft' in rosbag2_qos('left', 'ft')
     assert found['/left/camera_clock']['durability'] == 'transient_local'
     for topic in TOPICS:
         if topic.name == '/ft_sensor/wrench':

@@ -54,12 +54,25 @@ def test_the_profile_of_the_user_stays() -> None:
 )
 def test_the_range_of_discovery_decides(reach: str, name: str) -> None:
     chosen = profile_environment({'ROS_AUTOMATIC_DISCOVERY_RANGE': reach})
+    # Ours stays in a shell in which the range is changed.
+    for before in ('LOCALHOST', 'SUBNET'):
+        ours = profile_environment({'ROS_AUTOMATIC_DISCOVERY_RANGE': before})
+        assert profile_environment({**ours, 'ROS_AUTOMATIC_DISCOVERY_RANGE': reach}) == chosen
     assert set(chosen) == set(FASTDDS_VARIABLES)
     (path,) = {Path(each) for each in chosen.values()}
     assert path.name == f'{name}.xml'
     text = path.read_text(encoding='utf-8')
     assert ET.fromstring(text).tag.endswith('dds')
     assert ('interfaceWhiteList' in text) == (name == 'local')
+
+
+def test_the_environment_of_a_clone_follows_the_range_as_well() -> None:
+    source = f'. {Path(__file__).resolve().parents[3]}/tools/env.sh'
+    show = f'echo ${FASTDDS_VARIABLES[0]}'
+    script = f'{source}; export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET; {source}; {show};'
+    script += f'export {FASTDDS_VARIABLES[0]}=/mine.xml; {source}; {show}'
+    shown = subprocess.run(['bash', '-c', script], check=True, capture_output=True, text=True)
+    assert [Path(each).name for each in shown.stdout.split()] == ['network.xml', 'mine.xml']
 
 
 def received_of_a_burst_while_stopped(env: dict[str, str]) -> int:

@@ -184,11 +184,12 @@ class Listener(CommandNode):
         except rclpy_implementation.RMWError:
             return
         for status in reports:
-            if not status.name.startswith(f'{own}/'):
+            namespace, _, name = status.name.rpartition('/')
+            if namespace != own:
                 continue
             if any(v.key == 'simulated' and v.value == 'True' for v in status.values):
                 self.simulated = True
-            if status.name == f'{own}/driver':
+            if name == 'driver':
                 self.serial = status.hardware_id
 
 

@@ -13,7 +13,7 @@ import yaml
 
 rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from mixtac_events.arrays import Events  # noqa: E402
@@ -116,13 +116,25 @@ def test_rosbags_alone_reads_every_packet_and_the_events_are_those_sent(recorded
     assert described['not_written'] == 0
 
 
-@pytest.mark.parametrize(('remap', 'namespace'), [((), 'mixtac'), (('__ns:=/left',), 'left')])
+@pytest.mark.parametrize(
+    ('remap', 'namespace'), [((), 'mixtac'), (('__ns:=/left',), 'left'), (('__ns:=/',), '')]
+)
 def test_the_recorder_is_in_the_namespace_of_the_sensor(
     node_under_test, tmp_path, remap, namespace
 ):
+    recorder, driver = (f'{namespace}/{name}'.lstrip('/') for name in ('recorder', 'driver'))
     node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
     node_under_test.start(RECORDER, f'output:={tmp_path}/bag', remap=remap)
-    node_under_test.spin_until(lambda: node_under_test.diagnostics(f'{namespace}/recorder'))
-    assert node_under_test.diagnostics(f'{namespace}/recorder')['messages dropped'] == '0'
+    node_under_test.spin_until(lambda: node_under_test.diagnostics(recorder))
+    assert node_under_test.diagnostics(recorder)['messages dropped'] == '0'
+    publisher = node_under_test.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    node_under_test.spin_until(lambda: publisher.get_subscription_count() == 2)
+    simulated = [KeyValue(key='simulated', value='True')]
+    for serial, name in (('0042', driver), ('0043', f'other/{driver}')):
+        status = DiagnosticStatus(name=name, hardware_id=serial, values=simulated)
+        publisher.publish(DiagnosticArray(status=[status]))
+    node_under_test.spin_until(lambda: int(node_under_test.diagnostics(recorder)['messages']) >= 4)
     status, output = node_under_test.stop()
     assert status == 0, output
+    (described,) = yaml.safe_load((tmp_path / 'dataset.yaml').read_text())['trials']
+    assert (described['serial'], described['simulated']) == ('0042', True)
