@@ -237,6 +237,7 @@ def deviations(sizes: Sizes) -> tuple[str, ...]:
 def learning_version() -> str:
     """Return the version of simulator, networks and training."""
     packages = ('mixtac_events', 'mixtac_fger', 'mixtac_learning')
+    packages += ('mixtac_recordings', 'mixtac_alignment')
     return f'{simulator_digest()} {code_version(*packages)}'
 
 
