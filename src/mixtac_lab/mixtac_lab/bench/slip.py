@@ -175,22 +175,20 @@ def match_knocks(
         busy host; `cpu_shares`.
     """
     period_ns = 1000 * int(scene['period_us'])
-    periods = range(
-        max((span_ns[0] - origin_ns) // period_ns, 0), (span_ns[1] - origin_ns) // period_ns + 1
-    )
-    knocks = [
+    early = max(span_ns[0] - HORIZON_NS - origin_ns, 0) // period_ns
+    every = [
         (origin_ns + k * period_ns + 1000 * onset, speed)
-        for k in periods
+        for k in range(early, (span_ns[1] - origin_ns) // period_ns + 1)
         for onset, speed in zip(scene['onsets_us'], scene['speeds_mm_s'], strict=True)
     ]
-    knocks = [knock for knock in knocks if span_ns[0] <= knock[0] <= span_ns[1]]
+    knocks = [knock for knock in every if span_ns[0] <= knock[0] <= span_ns[1]]
     slips = np.array(noted['slips_ns'], np.int64)
     sent = np.array(noted['trajectories_ns'], np.int64)
     seen = slips[(slips >= span_ns[0]) & (slips <= span_ns[1])]
     starts = np.array([at for at, _ in knocks], np.int64)
     ready = np.array([_ready(at, noted['enabled_spans_ns'], sent) for at in starts], np.bool_)
     detection_ms, publish_ms = _after(starts, slips), _after(starts[ready], sent)
-    alarms = [not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen]
+    alarms = [not any(0 <= at - start < HORIZON_NS for start, _ in every) for at in seen]
     return {
         'speeds_mm_s': [speed for _, speed in knocks],
         'detection_ms': detection_ms,

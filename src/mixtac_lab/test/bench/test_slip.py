@@ -71,6 +71,13 @@ def test_an_answer_beyond_the_horizon_is_none_and_periods_repeat() -> None:
     assert found['false_alarms'] == 1
 
 
+def test_an_answer_to_a_knock_before_the_measurement_is_no_alarm() -> None:
+    span = (ORIGIN + SECOND + MS, ORIGIN + 4 * SECOND)
+    found = match([ORIGIN + SECOND + 2 * MS], [], [], span)
+    assert found['speeds_mm_s'] == [60.0, 90.0]
+    assert found['false_alarms'] == 0
+
+
 def test_curves_are_drawn_where_a_detector_missed_everything(tmp_path: Path) -> None:
     curve = {
         'false_alarms_per_min': [3.0, 1.0, 0.0],
