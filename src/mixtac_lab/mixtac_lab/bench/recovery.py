@@ -325,6 +325,8 @@ def recovery(
         f'memory {before["memory_mib"]:.0f} -> {after["memory_mib"]:.0f} MiB'
     )
     write_json(json, report)
+    if report['recoveries'] < report['faults'] or report['time_went_back']:
+        raise typer.Exit(1)
 
 
 def fault_names(faults: int, rng: Random) -> Iterator[str]:

@@ -8,6 +8,7 @@ import json
 import random
 
 import pytest
+import typer
 
 from mixtac_lab.bench import recovery
 
@@ -48,18 +49,23 @@ def test_plan_brings_all_kinds_equally_often():
     assert all(plan.count(name) == 3 for name in recovery.OUTAGES)
 
 
-def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
+def report_of(*restored: bool) -> dict[str, object]:
     resources = {'threads': 8, 'descriptors': 11, 'memory_mib': 170.0}
     recoveries = [
-        recovery.Recovery('unplugged', seconds, restored=True) for seconds in (0.2, 0.4, 0.3)
+        recovery.Recovery('unplugged', seconds, restored=each)
+        for seconds, each in zip((0.2, 0.4, 0.3), restored, strict=True)
     ]
-    report = recovery.summarise(recoveries) | {
+    return recovery.summarise(recoveries) | {
         'seed': 0,
         'time_went_back': 0,
         'reconnects': 3,
         'before': resources,
         'after': resources,
     }
+
+
+def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
+    report = report_of(True, True, True)
     monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
     recovery.recovery(json=tmp_path / 'report.json')
     written = json.loads((tmp_path / 'report.json').read_text())
@@ -68,3 +74,14 @@ def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert '3 of 3 recovered' in printed
     assert 'unplugged' in printed
+
+
+@pytest.mark.parametrize(
+    'report', [report_of(True, False, True), report_of(True, True, True) | {'time_went_back': 1}]
+)
+def test_command_fails_where_a_fault_lasted_or_time_went_back(monkeypatch, tmp_path, report):
+    monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
+    with pytest.raises(typer.Exit) as ended:
+        recovery.recovery(json=tmp_path / 'report.json')
+    assert ended.value.exit_code == 1
+    assert json.loads((tmp_path / 'report.json').read_text())['faults'] == 3
