@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import random
 
 import pytest
@@ -70,10 +71,25 @@ def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
     recovery.recovery(json=tmp_path / 'report.json')
     written = json.loads((tmp_path / 'report.json').read_text())
     assert written['recoveries'] == 3
-    assert written['recovery_s'] == {'count': 3, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
+    assert written['recovery_s'] == {'count': 3, 'failed': 0, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
     printed = capsys.readouterr().out
     assert '3 of 3 recovered' in printed
     assert 'unplugged' in printed
+
+
+def test_faults_that_lasted_are_counted_beside_the_times_of_the_others():
+    times = {'unplugged': (0.2, math.nan, 0.4), 'babble': (math.nan,)}
+    found = recovery.summarise(
+        [
+            recovery.Recovery(name, seconds, restored=math.isfinite(seconds))
+            for name, each in times.items()
+            for seconds in each
+        ]
+    )
+    assert (found['faults'], found['recoveries']) == (4, 2)
+    assert found['recovery_s'] == {'count': 4, 'failed': 2, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
+    none = {'p50': None, 'p95': None, 'max': None}
+    assert found['by_fault']['babble'] == {'count': 1, 'failed': 1, **none}
 
 
 @pytest.mark.parametrize(
