@@ -30,10 +30,11 @@ from mixtac_node.files import write_json
 
 @functools.cache
 def code_version(*names: str) -> str:
-    """Return a digest of the Python files of packages and modules.
+    """Return a digest of packages and modules.
 
     Args:
-        names: Full names, such as `mixtac_sim.optics`; a package counts with all that is in it.
+        names: Full names, such as `mixtac_sim.optics`; a package counts with all that is in it, its
+            data too.
     """
     digest = hashlib.blake2b(digest_size=6)
     for name in names:
@@ -42,9 +43,10 @@ def code_version(*names: str) -> str:
             raise ModuleNotFoundError(name)
         origin = Path(spec.origin)
         root = origin.parent
-        files = sorted(root.rglob('*.py')) if spec.submodule_search_locations else [origin]
+        files = sorted(root.rglob('*')) if spec.submodule_search_locations else [origin]
         for path in files:
-            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+            if path.is_file() and path.parent.name != '__pycache__':
+                digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()
 
 
@@ -62,13 +64,19 @@ class Piece:
         function: Called with the path of the result without suffix, as prefix of the names of
             further files, and with `arguments`; returns the result, ready for JSON.
         arguments: Everything else that the function needs; their `repr` is part of the key.
-        version: Version of the code and of the files that the result depends on.
+        version: Version of the code and of the files that the result depends on; that of the module
+            of the function is added.
     """
 
     label: str
     function: Callable[..., dict[str, Any]]
     arguments: tuple[Any, ...]
     version: str
+
+    def __post_init__(self) -> None:
+        """Add the version of the function's module, which stays if the file changes meanwhile."""
+        version = f'{self.version} {code_version(self.function.__module__)}'
+        object.__setattr__(self, 'version', version)
 
     @property
     def stem(self) -> str:

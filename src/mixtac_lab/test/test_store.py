@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import os
+import pickle
 from typing import TYPE_CHECKING
 
 import pytest
@@ -88,14 +91,30 @@ def test_version_of_code_changes_with_any_file_of_the_packages(tmp_path, monkeyp
     package = tmp_path / 'versioned_package'
     package.mkdir()
     (package / '__init__.py').write_text('')
-    (package / 'part.py').write_text('A = 1\n')
     monkeypatch.syspath_prepend(tmp_path)
+    code_version.cache_clear()
     found = []
     for text in ('A = 1\n', 'A = 2\n'):
         (package / 'part.py').write_text(text)
         found += [code_version('versioned_package'), code_version('versioned_package.part')]
         code_version.cache_clear()
-    assert len(set(found)) == 4
+    (package / 'table.yaml').write_text('a: 1\n')
+    found.append(code_version('versioned_package'))
+    code_version.cache_clear()
+    assert len(set(found)) == 5
+
+
+def test_other_code_of_the_function_is_another_piece(tmp_path, monkeypatch):
+    module = tmp_path / 'versioned_function.py'
+    monkeypatch.syspath_prepend(tmp_path)
+    code_version.cache_clear()
+    pieces = []
+    for text in ('def work(base): return {}\n', 'def work(base): return {"a": 1}\n'):
+        module.write_text(text)
+        work = importlib.import_module('versioned_function').work
+        pieces.append(Piece('work', work, (), '0'))
+        code_version.cache_clear()
+    assert len({pickle.loads(pickle.dumps(each)).stem for each in pieces}) == 2
 
 
 def test_version_of_files_changes_with_their_size(tmp_path):
@@ -112,3 +131,12 @@ def test_other_settings_of_a_trial_are_another_piece():
     plans = [TrialPlan(), TrialPlan(preset='easy'), TrialPlan(settings=other)]
     assert len({trial_piece(plan).stem for plan in plans}) == 3
     assert trial_piece(TrialPlan()).stem == trial_piece(TrialPlan(settings=settings)).stem
+
+
+def test_other_weights_of_the_force_are_another_trial(tmp_path, monkeypatch):
+    weights = tmp_path / 'weights.safetensors'
+    weights.write_bytes(b'a')
+    monkeypatch.setattr('mixtac_lab.slip.trials.find_model', lambda _name: weights)
+    before = trial_piece(TrialPlan()).stem
+    os.utime(weights, ns=(0, 0))
+    assert trial_piece(TrialPlan()).stem != before

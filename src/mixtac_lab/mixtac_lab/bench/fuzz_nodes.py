@@ -354,6 +354,8 @@ def fuzz_nodes(
         for error in [*run['errors'], *([run['ended']] if run['ended'] else [])]:
             console.print(f'{run["node"]}: {error}', markup=False)
     write_json(json, {'seed': seed, 'runs': runs})
+    if any(run['errors'] or run['ended'] for run in runs):
+        raise typer.Exit(1)
 
 
 def _row(run: Mapping[str, Any]) -> tuple[object, ...]:

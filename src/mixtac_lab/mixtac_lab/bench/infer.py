@@ -260,10 +260,10 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
 
 
 def _figures(model: Model, scene: Scene, contact: ContactSettings | None) -> dict[str, Any]:
-    frame_ms = quantiles(frame_times_ms(model, scene, contact))
+    frame_ms = frame_times_ms(model, scene, contact)
     paced = run_paced(model, scene, contact)
     calls = {name: quantiles(paced[name]) for name in ('step_ms', 'between_ms')}
-    return paced | calls | {'frame_ms': frame_ms}
+    return paced | calls | {'frame_ms': quantiles(frame_ms), 'frames': len(frame_ms)}
 
 
 def _print(console: Console, report: dict[str, Any]) -> None:

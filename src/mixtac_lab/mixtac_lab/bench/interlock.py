@@ -102,6 +102,9 @@ def interlock(
         tally = asdict(run_enablings(runs, seed, advance))
     console.print_json(data=tally)
     write_json(json, {'seed': seed} | tally)
+    failed = tally['violations'] + tally['false_stops'] + tally['rejected'] + tally['sent_after']
+    if failed + sum(tally['silent'].values()):
+        raise typer.Exit(1)
 
 
 def run_enablings(

@@ -81,6 +81,8 @@ def limits(
         tally = asdict(run_trials(trials, seed, advance=advance))
     console.print_json(data=tally)
     write_json(json, {'seed': seed} | tally)
+    if tally['violations']:
+        raise typer.Exit(1)
 
 
 def run_trials(

@@ -8,6 +8,7 @@ Camera object and supervisor are those of the driver node; the camera is virtual
 from __future__ import annotations
 
 import gc
+import math
 import tempfile
 import threading
 import time
@@ -311,8 +312,11 @@ def recovery(
     with progress_bar('faults', faults, console) as advance:
         report = run_recovery_benchmark(faults, seed, on_fault=advance)
     rows = {**report['by_fault'], 'all': report['recovery_s']}
-    headings = ('fault', 'count', 'p50', 'p95', 'max')
-    values = [(name, *(f'{value:g}' for value in row.values())) for name, row in rows.items()]
+    headings = ('fault', 'count', 'failed', 'p50', 'p95', 'max')
+    values = [
+        (name, *('' if value is None else f'{value:g}' for value in row.values()))
+        for name, row in rows.items()
+    ]
     console.print(make_table('time to recover [s]', headings, values))
     console.print(
         f'{report["recoveries"]} of {report["faults"]} recovered with all settings, '
@@ -325,6 +329,8 @@ def recovery(
         f'memory {before["memory_mib"]:.0f} -> {after["memory_mib"]:.0f} MiB'
     )
     write_json(json, report)
+    if report['recoveries'] < report['faults'] or report['time_went_back']:
+        raise typer.Exit(1)
 
 
 def fault_names(faults: int, rng: Random) -> Iterator[str]:
@@ -343,7 +349,7 @@ def _recover_from(name: str, scene: RecoveryScene, driver: _Driver, rng: Random)
     driver.expect(float('inf'))
     driver.expect(OUTAGES[name](scene.device, rng))
     seconds = driver.recovery_s()
-    lasted = seconds == seconds and driver.supervisor.state is State.STREAMING  # noqa: PLR0124
+    lasted = math.isfinite(seconds) and driver.supervisor.state is State.STREAMING
     return Recovery(name, seconds, lasted and _is_restored(scene, camera))
 
 
@@ -383,7 +389,10 @@ def _resources(before: dict[str, float] | None = None) -> dict[str, float]:
         time.sleep(0.1)
 
 
-def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
-    seconds = [each.seconds for each in recoveries]
-    found = quantiles(seconds, (0.5, 0.95, 1.0))
-    return {'count': len(seconds), **{name: round(value, 3) for name, value in found.items()}}
+def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float | None]:
+    """Return numbers, and quantiles of the times of those with a stream; None without any."""
+    seconds = [each.seconds for each in recoveries if math.isfinite(each.seconds)]
+    found: dict[str, float | None] = dict.fromkeys(('p50', 'p95', 'max'))
+    if seconds:
+        found |= {k: round(v, 3) for k, v in quantiles(seconds, (0.5, 0.95, 1.0)).items()}
+    return {'count': len(recoveries), 'failed': len(recoveries) - len(seconds), **found}

@@ -12,6 +12,7 @@ microsecond. Latencies end at the arrival at the probe and include the transport
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -167,34 +168,32 @@ def match_knocks(
     Returns:
         `speeds_mm_s` of all knocks; `detection_ms`, the time from the onset of each to the arrival
         of `slip` [ms]; `publish_ms`, the time to the arrival of the first trajectory [ms], for
-        knocks before which slip control was enabled and quiet, NaN for none; `not_ready`, the
+        knocks before which slip control was enabled and quiet, None for none; `not_ready`, the
         number of knocks before which it was not; `missed_detections` and `missed_answers`, the
-        numbers of NaN; `false_alarms`, the number of reported slips without a knock; `seconds`, the
-        length of the measurement [s]; `camera_stalls`; `windows` of 1 ms that slip control
+        numbers of None; `false_alarms`, the number of reported slips without a knock; `seconds`,
+        the length of the measurement [s]; `camera_stalls`; `windows` of 1 ms that slip control
         reported; `stops`, the number of interlock stops, of which the watchdogs cause some on a
         busy host; `cpu_shares`.
     """
     period_ns = 1000 * int(scene['period_us'])
-    periods = range(
-        max((span_ns[0] - origin_ns) // period_ns, 0), (span_ns[1] - origin_ns) // period_ns + 1
-    )
-    knocks = [
+    early = max(span_ns[0] - HORIZON_NS - origin_ns, 0) // period_ns
+    every = [
         (origin_ns + k * period_ns + 1000 * onset, speed)
-        for k in periods
+        for k in range(early, (span_ns[1] - origin_ns) // period_ns + 1)
         for onset, speed in zip(scene['onsets_us'], scene['speeds_mm_s'], strict=True)
     ]
-    knocks = [knock for knock in knocks if span_ns[0] <= knock[0] <= span_ns[1]]
+    knocks = [knock for knock in every if span_ns[0] <= knock[0] <= span_ns[1]]
     slips = np.array(noted['slips_ns'], np.int64)
     sent = np.array(noted['trajectories_ns'], np.int64)
     seen = slips[(slips >= span_ns[0]) & (slips <= span_ns[1])]
     starts = np.array([at for at, _ in knocks], np.int64)
     ready = np.array([_ready(at, noted['enabled_spans_ns'], sent) for at in starts], np.bool_)
     detection_ms, publish_ms = _after(starts, slips), _after(starts[ready], sent)
-    alarms = [not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen]
+    alarms = [not any(0 <= at - start < HORIZON_NS for start, _ in every) for at in seen]
     return {
         'speeds_mm_s': [speed for _, speed in knocks],
-        'detection_ms': detection_ms,
-        'publish_ms': publish_ms,
+        'detection_ms': _known(detection_ms),
+        'publish_ms': _known(publish_ms),
         'not_ready': int(np.count_nonzero(~ready)),
         'missed_detections': int(np.count_nonzero(np.isnan(detection_ms))),
         'missed_answers': int(np.count_nonzero(np.isnan(publish_ms))),
@@ -221,6 +220,10 @@ def _after(starts: NDArray[np.int64], times: NDArray[np.int64]) -> list[float]:
         near = k < len(times) and times[k] - start < HORIZON_NS
         found.append(1e-6 * float(times[k] - start) if near else float('nan'))
     return found
+
+
+def _known(values: Sequence[float]) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values]
 
 
 def slip(

@@ -83,8 +83,7 @@ def run_soak(
             time.sleep(min(period_s, max(0.0, seconds - elapsed_s)))
             group.check()
             found = {'t_s': time.monotonic() - began_s, **resources(processes)}
-            arrival_ns, stamp_ns, force = monitor.force()
-            found |= force_figures(arrival_ns[taken:], stamp_ns[taken:], force[taken:])
+            found |= force_figures(*monitor.force(), taken)
             taken = monitor.force_count
             samples.append(found | counters(monitor.values))
             progress(found['t_s'])
@@ -118,17 +117,27 @@ def resources(processes: Mapping[str, psutil.Process]) -> dict[str, float]:
 
 
 def force_figures(
-    arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], force: NDArray[np.float64]
+    arrival_ns: NDArray[np.int64],
+    stamp_ns: NDArray[np.int64],
+    force: NDArray[np.float64],
+    first: int,
 ) -> dict[str, float]:
-    """Return rate [Hz], missing windows and mean [N] of the forces of a period, shape (N,) each."""
-    if len(force) < 2:
+    """Return rate [Hz], missing windows and mean [N] of the forces of a period.
+
+    Args:
+        arrival_ns: Host time of the arrival of all forces so far [ns], [N].
+        stamp_ns: Their stamps [ns], [N].
+        force: Their values [N], [N].
+        first: Number of the first one of the period, at least 1: what is missing before it counts.
+    """
+    if len(force) <= first:
         return {'force windows missing': 0.0, 'force [Hz]': 0.0}
-    span_s = 1e-9 * float(arrival_ns[-1] - arrival_ns[0])
-    missing = np.maximum(np.diff(stamp_ns) // WINDOW_NS - 1, 0)
+    span_s = 1e-9 * float(arrival_ns[-1] - arrival_ns[first - 1])
+    missing = np.maximum(np.diff(stamp_ns[first - 1 :]) // WINDOW_NS - 1, 0)
     return {
-        'force [Hz]': (len(force) - 1) / max(span_s, 1e-9),
+        'force [Hz]': (len(force) - first) / max(span_s, 1e-9),
         'force windows missing': float(missing.sum()),
-        'zero [N]': float(np.mean(force)),
+        'zero [N]': float(np.mean(force[first:])),
     }
 
 

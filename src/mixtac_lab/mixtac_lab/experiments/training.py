@@ -235,9 +235,10 @@ def deviations(sizes: Sizes) -> tuple[str, ...]:
 
 
 def learning_version() -> str:
-    """Return the version of simulator, networks and training."""
-    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_learning')
-    return f'{simulator_digest()} {code_version(*packages)}'
+    """Return the version of simulator, networks, training and the reading of bags."""
+    networks = code_version('mixtac_events', 'mixtac_fger', 'mixtac_learning')
+    bags = code_version('mixtac_recordings', 'mixtac_alignment')
+    return f'{simulator_digest()} {networks} {bags}'
 
 
 def train(context: Context, configs: Mapping[tuple[str, int], RunConfig]) -> dict[Any, str]:

@@ -304,7 +304,7 @@ def count_alarms(
         `saturated`, windows with a saturated sensor, which would stop an arm.
     """
     number = max(round(seconds / PIECE_S), 1)
-    version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', __name__)
+    version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control')
     arguments = [(name, k, seconds / number, preset_name) for k in range(number)]
     pieces = [Piece(f'quiet_{name}_{each[1]}', _quiet_piece, each, version) for each in arguments]
     found = store.run_shown(f'scene without slip: {name}', pieces, console, jobs)

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_lab.slip.loop import (
     SIDEWAYS,
     TRANSPORT_S,
@@ -21,7 +22,7 @@ from mixtac_lab.slip.loop import (
     best_arrest,
 )
 from mixtac_lab.slip.sensing import SensedForce, calibrate, sense_grasp
-from mixtac_lab.store import Piece, code_version
+from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.arm.plant import TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
@@ -413,8 +414,9 @@ COURSE_MS: Final = np.arange(-10.0, 80.0, 0.5)
 
 def trial_piece(plan: TrialPlan) -> Piece:
     """Return a trial as a piece of work; its result has `course_mm`, too."""
-    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_sim', 'mixtac_slip_control')
-    version = code_version(*packages, 'mixtac_lab.slip')
+    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_recordings', 'mixtac_sim')
+    code = code_version(*packages, 'mixtac_slip_control', 'mixtac_lab.slip')
+    version = f'{code} {files_version([find_model(DEFAULT_MODEL)])}'
     return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), version)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from random import Random
 
 import pytest
+import typer
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('event_camera_msgs', reason='needs the built workspace: source install/setup')
@@ -16,6 +17,7 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import CameraInfo
 
+from mixtac_lab.bench import fuzz_nodes as bench
 from mixtac_lab.bench.fuzz_nodes import fuzz_target, leaves, mutate
 from mixtac_lab.bench.programs.fuzz_node import DirectTarget, LiveTarget, Mutations, sound_message
 
@@ -76,3 +78,12 @@ def test_a_failing_callback_is_counted():
         target.send('force', mutated(WrenchStamped))
     assert sum(target.errors.values()) > 5
     assert target.slowest_ms['force'] > 0.0
+
+
+@pytest.mark.parametrize(('errors', 'ended'), [(['1 x force: ValueError'], ''), ([], 'gone')])
+def test_command_fails_where_a_node_ended_or_raised(monkeypatch, errors, ended):
+    run = {'node': 'fger', 'live': True, 'sent': {}, 'errors': errors, 'ended': ended}
+    monkeypatch.setattr(bench, 'fuzz_live', lambda *_: run)
+    with pytest.raises(typer.Exit) as left:
+        bench.fuzz_nodes(messages=0, node='fger')
+    assert left.value.exit_code == 1

@@ -7,14 +7,15 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+import pytest
+import typer
+
 from mixtac_lab.bench import interlock
-from mixtac_lab.bench.interlock import run_enablings
+from mixtac_lab.bench.interlock import InterlockTally, run_enablings
 from mixtac_slip_control.arm.following import FollowingWatch
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import pytest
 
 COUNT = 60
 
@@ -41,3 +42,15 @@ def test_command_writes_the_tally(tmp_path: Path) -> None:
     path = tmp_path / 'interlock.json'
     interlock.interlock(runs=2, seed=2, json=path)
     assert json.loads(path.read_text())['runs'] == 2
+
+
+@pytest.mark.parametrize('bad', [{'violations': 1}, {'silent': {'late': 1}}, {'false_stops': 1}])
+def test_command_fails_where_a_limit_was_broken_or_a_fault_was_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: dict[str, object]
+) -> None:
+    path = tmp_path / 'interlock.json'
+    monkeypatch.setattr(interlock, 'run_enablings', lambda *_: InterlockTally(runs=1, **bad))
+    with pytest.raises(typer.Exit) as ended:
+        interlock.interlock(runs=1, seed=1, json=path)
+    assert ended.value.exit_code == 1
+    assert json.loads(path.read_text())['runs'] == 1

@@ -7,8 +7,11 @@
 
 import json
 
+import pytest
+import typer
+
 from mixtac_lab.bench import limits as limit_trials
-from mixtac_lab.bench.limits import run_trials
+from mixtac_lab.bench.limits import TrialTally, run_trials
 from mixtac_slip_control.arm.planner import StreamSettings
 
 COUNT = 400
@@ -40,3 +43,11 @@ def test_command_writes_the_tally(tmp_path):
     limit_trials.limits(trials=3, seed=2, json=path)
     found = json.loads(path.read_text())
     assert (found['trials'], found['seed'], found['violations']) == (3, 2, 0)
+
+
+def test_command_fails_where_a_limit_was_violated(monkeypatch):
+    tally = TrialTally(trials=3, violations=1)
+    monkeypatch.setattr(limit_trials, 'run_trials', lambda *_args, **_kwargs: tally)
+    with pytest.raises(typer.Exit) as ended:
+        limit_trials.limits(trials=3, seed=2)
+    assert ended.value.exit_code == 1

@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import json
+import math
 import random
 
 import pytest
+import typer
 
 from mixtac_lab.bench import recovery
 
@@ -48,23 +50,54 @@ def test_plan_brings_all_kinds_equally_often():
     assert all(plan.count(name) == 3 for name in recovery.OUTAGES)
 
 
-def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
+def report_of(*restored: bool) -> dict[str, object]:
     resources = {'threads': 8, 'descriptors': 11, 'memory_mib': 170.0}
     recoveries = [
-        recovery.Recovery('unplugged', seconds, restored=True) for seconds in (0.2, 0.4, 0.3)
+        recovery.Recovery('unplugged', seconds, restored=each)
+        for seconds, each in zip((0.2, 0.4, 0.3), restored, strict=True)
     ]
-    report = recovery.summarise(recoveries) | {
+    return recovery.summarise(recoveries) | {
         'seed': 0,
         'time_went_back': 0,
         'reconnects': 3,
         'before': resources,
         'after': resources,
     }
+
+
+def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
+    report = report_of(True, True, True)
     monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
     recovery.recovery(json=tmp_path / 'report.json')
     written = json.loads((tmp_path / 'report.json').read_text())
     assert written['recoveries'] == 3
-    assert written['recovery_s'] == {'count': 3, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
+    assert written['recovery_s'] == {'count': 3, 'failed': 0, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
     printed = capsys.readouterr().out
     assert '3 of 3 recovered' in printed
     assert 'unplugged' in printed
+
+
+def test_faults_that_lasted_are_counted_beside_the_times_of_the_others():
+    times = {'unplugged': (0.2, math.nan, 0.4), 'babble': (math.nan,)}
+    found = recovery.summarise(
+        [
+            recovery.Recovery(name, seconds, restored=math.isfinite(seconds))
+            for name, each in times.items()
+            for seconds in each
+        ]
+    )
+    assert (found['faults'], found['recoveries']) == (4, 2)
+    assert found['recovery_s'] == {'count': 4, 'failed': 2, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
+    none = {'p50': None, 'p95': None, 'max': None}
+    assert found['by_fault']['babble'] == {'count': 1, 'failed': 1, **none}
+
+
+@pytest.mark.parametrize(
+    'report', [report_of(True, False, True), report_of(True, True, True) | {'time_went_back': 1}]
+)
+def test_command_fails_where_a_fault_lasted_or_time_went_back(monkeypatch, tmp_path, report):
+    monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
+    with pytest.raises(typer.Exit) as ended:
+        recovery.recovery(json=tmp_path / 'report.json')
+    assert ended.value.exit_code == 1
+    assert json.loads((tmp_path / 'report.json').read_text())['faults'] == 3

@@ -33,11 +33,22 @@ def test_slopes_are_found_within_their_errors(tmp_path):
 
 def test_missing_windows_and_the_mean_force_of_a_period():
     stamp_ns = 2_000_000 * np.array([1, 2, 3, 6, 7], np.int64)
-    found = force_figures(stamp_ns, stamp_ns, np.array([0.1, 0.2, 0.3, 0.2, 0.2]))
+    force = np.array([0.5, 0.1, 0.3, 0.2, 0.2])
+    found = force_figures(stamp_ns, stamp_ns, force, 1)
     assert found['force windows missing'] == 2
     assert found['zero [N]'] == pytest.approx(0.2)
     assert found['force [Hz]'] == pytest.approx(4 / 0.012)
-    assert force_figures(stamp_ns[:1], stamp_ns[:1], np.zeros(1))['force [Hz]'] == 0.0
+    assert force_figures(stamp_ns, stamp_ns, force, 5)['force [Hz]'] == 0.0
+
+
+def test_windows_missing_between_periods_are_in_the_later_one():
+    stamp_ns = 2_000_000 * np.array([1, 2, 3, 6, 7], np.int64)
+    parts = [
+        force_figures(stamp_ns[:end], stamp_ns[:end], np.zeros(end), first)
+        for first, end in ((1, 3), (3, 3), (3, 5))
+    ]
+    assert [each['force windows missing'] for each in parts] == [0, 0, 2]
+    assert [each['force [Hz]'] for each in parts] == pytest.approx([500.0, 0.0, 2 / 0.008])
 
 
 def test_a_process_that_has_ended_is_named():

@@ -71,16 +71,15 @@ def _paper_rows() -> list[Row]:
 def _our_rows(seconds: float) -> list[Row]:
     found: dict[str, Any] = measure(DEFAULT_MODEL, seconds, PRESET)
     name = MODELS[OURS].label
-    text = 'this CPU, one thread; spread: median to 99th percentile'
-    windows = int(found['windows'])
-    step, frame = (_median(found[key], windows) for key in ('step_ms', 'frame_ms'))
     operations = _one(found['flops_per_cycle'])
     flops = '2 per multiply-add'
     return [
         _row(f'{name}: parameters', _one(found['parameters']), '', 'counted', PARAMETERS),
         _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
-        Row(f'{name}: window step', step, LATENCY_MS, _PLACE, 'ms', text),
-        Row(f'{name}: frame step', frame, None, '', 'ms', text),
+        *_step_rows(
+            f'{name}: window step', found['step_ms'], f'{found["windows"]} windows', LATENCY_MS
+        ),
+        *_step_rows(f'{name}: frame step', found['frame_ms'], f'{found["frames"]} frames', None),
     ]
 
 
@@ -88,8 +87,13 @@ def _one(value: float) -> Value:
     return Value(float(value), 0.0, 1, 'count')
 
 
-def _median(quantiles: dict[str, float], count: int) -> Value:
-    return Value(quantiles['p50'], quantiles['p99'] - quantiles['p50'], count, 'windows')
+def _step_rows(name: str, ms: dict[str, float], counted: str, paper: float | None) -> list[Row]:
+    place = '' if paper is None else _PLACE
+    text = f'this CPU, one thread, {counted}'
+    return [
+        Row(f'{name}, median', _one(ms['p50']), paper, place, 'ms', text),
+        Row(f'{name}, 99th percentile', _one(ms['p99']), None, '', 'ms', text),
+    ]
 
 
 def _packet_ms(network: PaperNetwork, config: PaperConfig) -> list[float]:

@@ -35,7 +35,7 @@ from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, mark, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
-from mixtac_lab.store import Piece, files_version
+from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import BagRecording
@@ -341,8 +341,11 @@ def _recorded(context: Context, bags: Path) -> Outcome:
             f'{folder} holds no bags',
             remedy='record one bag per tone and name it after the tone, such as speaker_120hz',
         )
+    reader = code_version('mixtac_recordings')
     pieces = [
-        Piece(f'shake_{p.name}', _bag_spectra, (p,), files_version(sorted(p.iterdir())))
+        Piece(
+            f'shake_{p.name}', _bag_spectra, (p,), f'{reader} {files_version(sorted(p.iterdir()))}'
+        )
         for p in paths
     ]
     results = context.run('vibration', pieces)

@@ -116,7 +116,7 @@ def alignment(
     json: JsonFile = None,
 ) -> None:
     """Train on labels with raw, coarse, tapped, refined and perfect clocks; compare the errors."""
-    version = f'{learning_version()} {code_version("mixtac_alignment", __name__)}'
+    version = f'{learning_version()} {code_version(TrialRecording.__module__)}'
     settings = (trials, checks, seconds, epochs, preset)
     cases = [(name, seed) for seed in range(seeds) for name in LABELS]
     pieces = [

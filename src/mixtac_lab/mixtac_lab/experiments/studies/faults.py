@@ -295,7 +295,8 @@ def faults(
 ) -> None:
     """Show how soon a force says that it cannot be trusted, and how often it says so wrongly."""
     weights = find_model(model)
-    code = code_version('mixtac_events', 'mixtac_fger', stream_of.__module__, __name__)
+    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_learning', 'mixtac_recordings')
+    code = code_version(*packages, stream_of.__module__)
     version = f'{simulator_digest()} {code} {files_version([weights])}'
     sensors, seconds, starts = (2, 5.0, 3) if quick else (6, 12.0, 50)
     trials = _specs(['dynamic'], sensors, seconds, FIRST_SEED)
