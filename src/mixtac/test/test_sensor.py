@@ -21,6 +21,9 @@ from mixtac import (
     SensorError,
 )
 from mixtac_driver.errors import UnknownDeviceError
+from mixtac_driver.parameters import DriverParameters
+from mixtac_fger.parameters import FgerParameters
+from mixtac_node.parameters import ParameterError
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import RecordingError
 
@@ -114,6 +117,19 @@ def test_what_cannot_be_opened_says_why(source, model, error):
     with pytest.raises(error):
         sensor.open()
     assert not sensor.is_open
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'driver': DriverParameters(playback_rate=-1.0)},
+        {'fger': FgerParameters(force_scale=-3.0)},
+        {'fger': FgerParameters(invalid_force='give')},
+    ],
+)
+def test_values_that_a_node_would_refuse_are_refused(options):
+    with pytest.raises(ParameterError):
+        Sensor('virtual', **options)
 
 
 def test_nothing_of_it_needs_ros():
