@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 
 import pytest
 
@@ -83,3 +84,10 @@ def test_what_is_published_is_shown_and_nothing_is_undecodable(node_under_test, 
     ).stdout
     for entity in ('/events', '/frame', '/force/estimate', '/slip/count', '/state', '/rates/force'):
         assert entity in printed
+
+
+def test_the_seconds_of_a_file_begin_with_it(node_under_test, tmp_path):
+    path = tmp_path / 'run.rrd'
+    command = [sys.executable, '-m', 'mixtac_cli', 'view', '--save', path, '--seconds', '0.2']
+    subprocess.run(command, check=True, timeout=120)
+    assert path.exists()
