@@ -251,14 +251,14 @@ class Sensor:
 
     def __init__(
         self,
-        source: str = USB,
+        source: Path | str = USB,
         *,
         model: str = '',
         record: Path | str | None = None,
         driver: DriverParameters | None = None,
         fger: FgerParameters | None = None,
     ) -> None:
-        self.source = source
+        self.source = str(source)
         self._record = None if record is None else Path(record)
         self._driver = build(DriverParameters, asdict(driver) if driver else {})
         self._fger = build(FgerParameters, asdict(fger) if fger else {})

@@ -110,6 +110,7 @@ def test_a_recording_is_a_sensor_until_it_ends(recorded):
         ('usb:no_such_serial', '', NoCameraError),
         ('no_such_device', '', UnknownDeviceError),
         ('virtual:no_such_scenario', '', SensorError),
+        (Path('no_such_bag.mcap'), '', RecordingError),
     ],
 )
 def test_what_cannot_be_opened_says_why(source, model, error):
