@@ -19,6 +19,7 @@ from mixtac import (
     Reading,
     Sensor,
     SensorError,
+    virtual,
 )
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
@@ -118,6 +119,14 @@ def test_what_cannot_be_opened_says_why(source, model, error):
     with pytest.raises(error):
         sensor.open()
     assert not sensor.is_open
+
+
+def test_a_virtual_sensor_that_is_late_is_not_said_to_be_missing(monkeypatch):
+    monkeypatch.setattr(virtual, 'START_S', 0.1)
+    with pytest.raises(SensorError) as caught:
+        Sensor('virtual').open()
+    assert caught.value.remedy
+    assert 'mixtac_sim' not in caught.value.remedy
 
 
 @pytest.mark.parametrize(
