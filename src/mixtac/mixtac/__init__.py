@@ -17,10 +17,12 @@ from mixtac.latest import (
 )
 from mixtac.sensor import Picture, Reading, Sensor
 from mixtac_driver.errors import NoCameraError
+from mixtac_events.errors import MixtacError
 from mixtac_fger.config import ModelError
 from mixtac_fger.reference import TareError
 
 __all__ = [
+    'MixtacError',
     'ModelError',
     'NoCameraError',
     'NoReadingError',

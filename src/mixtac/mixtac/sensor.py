@@ -13,7 +13,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -38,6 +38,7 @@ from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
 from mixtac_node.files import state_file
+from mixtac_node.parameters import build
 from mixtac_node.process import compiling
 from mixtac_recordings.messages import left_aligned
 from mixtac_recordings.recording import RecordingError
@@ -243,21 +244,24 @@ class Sensor:
 
     Attributes:
         pictures: Frames that the estimator has used: `Latest[Picture]`.
+
+    Raises:
+        ParameterError: A value of `driver` or `fger` is not allowed.
     """
 
     def __init__(
         self,
-        source: str = USB,
+        source: Path | str = USB,
         *,
         model: str = '',
         record: Path | str | None = None,
         driver: DriverParameters | None = None,
         fger: FgerParameters | None = None,
     ) -> None:
-        self.source = source
+        self.source = str(source)
         self._record = None if record is None else Path(record)
-        self._driver = driver or DriverParameters()
-        self._fger = fger or FgerParameters()
+        self._driver = build(DriverParameters, asdict(driver) if driver else {})
+        self._fger = build(FgerParameters, asdict(fger) if fger else {})
         if model:
             self._fger = replace(self._fger, model=model)
         self._closing: list[Callable[[], object]] = []

@@ -49,7 +49,8 @@ class VirtualProcess:
             found = self._process.expect('device', START_S)
         except MixtacError as error:
             self.close()
-            raise SensorError(str(error), remedy='is mixtac_sim installed?') from error
+            remedy = 'see what it printed, or try again while the computer does less'
+            raise SensorError(str(error), remedy=remedy) from error
         if found.get('error'):
             self.close()
             raise SensorError(str(found['error']))

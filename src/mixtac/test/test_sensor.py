@@ -19,8 +19,12 @@ from mixtac import (
     Reading,
     Sensor,
     SensorError,
+    virtual,
 )
 from mixtac_driver.errors import UnknownDeviceError
+from mixtac_driver.parameters import DriverParameters
+from mixtac_fger.parameters import FgerParameters
+from mixtac_node.parameters import ParameterError
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import RecordingError
 
@@ -107,6 +111,7 @@ def test_a_recording_is_a_sensor_until_it_ends(recorded):
         ('usb:no_such_serial', '', NoCameraError),
         ('no_such_device', '', UnknownDeviceError),
         ('virtual:no_such_scenario', '', SensorError),
+        (Path('no_such_bag.mcap'), '', RecordingError),
     ],
 )
 def test_what_cannot_be_opened_says_why(source, model, error):
@@ -114,6 +119,27 @@ def test_what_cannot_be_opened_says_why(source, model, error):
     with pytest.raises(error):
         sensor.open()
     assert not sensor.is_open
+
+
+def test_a_virtual_sensor_that_is_late_is_not_said_to_be_missing(monkeypatch):
+    monkeypatch.setattr(virtual, 'START_S', 0.1)
+    with pytest.raises(SensorError) as caught:
+        Sensor('virtual').open()
+    assert caught.value.remedy
+    assert 'mixtac_sim' not in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'driver': DriverParameters(playback_rate=-1.0)},
+        {'fger': FgerParameters(force_scale=-3.0)},
+        {'fger': FgerParameters(invalid_force='give')},
+    ],
+)
+def test_values_that_a_node_would_refuse_are_refused(options):
+    with pytest.raises(ParameterError):
+        Sensor('virtual', **options)
 
 
 def test_nothing_of_it_needs_ros():

@@ -208,7 +208,10 @@ class Bundle:
             return text
         for serial, name in self._names.items():
             text = text.replace(serial, name)
-        text = text.replace(str(Path.home()), '~')
+        home = Path.home()
+        # A user without an account, as in a container, has the root as home.
+        if home != Path(home.anchor):
+            text = text.replace(str(home), '~')
         return re.sub(rf'\b{re.escape(socket.gethostname())}\b', 'host', text)
 
 

@@ -105,6 +105,15 @@ def test_serial_numbers_are_hashed_unless_kept(files, tmp_path):
     assert capture.descriptors()[SERIAL] == string_descriptor(NUMBER)
 
 
+@pytest.mark.parametrize('home', ['/', '/home/somebody'])
+def test_paths_are_whole_but_for_the_home_folder(files, tmp_path, monkeypatch, home):
+    monkeypatch.setenv('HOME', home)
+    monkeypatch.setitem(REPORT, 'device', '/home/somebody/camera.pcap')
+    found = json.loads(written(collected(), files, tmp_path / 'bundle.zip')['findings.json'])
+    expected = '/home/somebody' if home == '/' else '~'
+    assert found['device'] == f'{expected}/camera.pcap'
+
+
 def test_no_bundle_is_written_against_a_no(files, tmp_path, monkeypatch):
     monkeypatch.setattr('sys.stdin', Answering())
     monkeypatch.setattr(typer, 'confirm', no)

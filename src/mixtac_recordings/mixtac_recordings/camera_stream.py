@@ -194,7 +194,7 @@ class BagRecording:
         return RecordingInfo(
             path=self._path,
             kind='rosbag2 bag',
-            camera='',
+            camera=self._serial(),
             width=size[0] if size else 0,
             height=size[1] if size else 0,
             color_filter=color_filter,
@@ -212,6 +212,12 @@ class BagRecording:
         info = self._first(topic)
         self._corner = (int(info.roi.x_offset), int(info.roi.y_offset))
         return int(info.width), int(info.height)
+
+    def _serial(self) -> str:
+        """Return the serial number that this driver records with the clock; empty without one."""
+        clock = f'{(self._leader or "").rpartition("/")[0]}/{topics.CAMERA_CLOCK.name}'
+        known = clock in self._bag.topics(topics.CAMERA_CLOCK.type_name)
+        return str(self._first(clock).source) if known else ''
 
     def _beside(self, kind: str, topic: str | None) -> str | None:
         """Return a topic of a type in the namespace of another topic."""

@@ -116,7 +116,8 @@ class RecordingInfo:
     Attributes:
         path: File or folder.
         kind: Format, as shown to users.
-        camera: Name of the camera, as far as recorded.
+        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
+            empty where none is recorded.
         width: Columns of the camera.
         height: Rows of the camera.
         color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.

@@ -26,6 +26,7 @@ IMU = 'sensor_msgs/msg/Imu'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 FRAME_EXPOSURE = 'mixtac_msgs/msg/FrameExposure'
 EXTERNAL_EDGE = 'mixtac_msgs/msg/ExternalEdge'
+TIME_REFERENCE = 'sensor_msgs/msg/TimeReference'
 START_US = 1_700_000_000_123_456
 TYPES = typestore()
 HEADER = TYPES.types['std_msgs/msg/Header']
@@ -163,6 +164,11 @@ class Bag:
             region,
         )
         self.write(topic, CAMERA_INFO, t_us, message)
+
+    def clock(self, t_us, serial, topic='/mixtac/camera_clock'):
+        stamp = header(t_us)
+        message = TYPES.types[TIME_REFERENCE](stamp, stamp.stamp, serial)
+        self.write(topic, TIME_REFERENCE, t_us, message)
 
 
 @dataclass

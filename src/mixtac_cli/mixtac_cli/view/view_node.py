@@ -19,6 +19,7 @@ from mixtac_events.codec import warm_up
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.files import writable
 
 if TYPE_CHECKING:
     from mixtac_cli.view.drawing import Curve
@@ -65,10 +66,13 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
 
         p = self._settings
         if p.save:
-            if Path(p.save).exists():
-                raise ViewError(f'{p.save} exists', remedy='name a new file in `save`')
-            self.get_logger().info(f'writing {p.save}')
-            return Page(p.history, palette(), path=Path(p.save))
+            path = Path(p.save)
+            if path.exists():
+                raise ViewError(f'{path} exists', remedy='name a new file in `save`')
+            writable(path)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.get_logger().info(f'writing {path}')
+            return Page(p.history, palette(), path=path)
         self._server = ViewerServer(p.port, p.data_port, p.memory)
         self.get_logger().info(f'live view: {self._server.page_url}')
         return Page(p.history, palette(), url=self._server.data_url)

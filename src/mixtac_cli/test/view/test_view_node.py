@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 
 import pytest
 
@@ -83,3 +84,22 @@ def test_what_is_published_is_shown_and_nothing_is_undecodable(node_under_test, 
     ).stdout
     for entity in ('/events', '/frame', '/force/estimate', '/slip/count', '/state', '/rates/force'):
         assert entity in printed
+
+
+def view(path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, '-m', 'mixtac_cli', 'view', '--save', path, '--seconds', '0.2']
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+
+
+def test_the_seconds_of_a_file_begin_with_it(node_under_test, tmp_path):
+    path = tmp_path / 'new' / 'run.rrd'
+    assert view(path).returncode == 0
+    assert path.exists()
+
+
+def test_a_file_that_cannot_be_written_ends_the_view_with_one_line(node_under_test, tmp_path):
+    (tmp_path / 'file').touch()
+    ended = view(tmp_path / 'file' / 'run.rrd')
+    assert ended.returncode == 1
+    assert str(tmp_path / 'file') in ended.stderr.splitlines()[-1]
+    assert 'Traceback' not in ended.stdout + ended.stderr

@@ -34,12 +34,11 @@ def replayed_identity(info: RecordingInfo) -> Identity:
     """Return an identity with the size and colours of the recorded camera; versions are zero.
 
     Args:
-        info: The recording. Its format stands for the chip, which is not recorded, and the name of
-            its camera, or else its own, for the serial number.
+        info: The recording. Its format stands for the chip, which is not recorded.
     """
     return Identity(
         model=replace(DAVIS346, name=info.kind, chips=(), width=info.width, height=info.height),
-        serial=info.camera or info.path.name,
+        serial=info.camera.rpartition('_')[2],
         firmware=(0, 0),
         logic=(0, 0),
         chip=info.kind,

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import shutil
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,10 +20,11 @@ from recording_samples import START_US, Bag, assert_equal, some_events
 
 from mixtac_driver.errors import EndOfStream
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.playback.source import RecordedSource
+from mixtac_driver.playback.source import RecordedSource, replayed_identity
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode
 from mixtac_events.packetizer import Packetizer
+from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.recording import RecordingError
 
 LENGTH_US = 50_000
@@ -56,7 +59,19 @@ def test_it_ends_once_and_says_so(bag):
     source.close()
     assert not source.status().is_open
     identity = source.status().identity
-    assert (identity.chip, identity.serial) == ('rosbag2 bag', 'bag')
+    assert (identity.chip, identity.serial) == ('rosbag2 bag', '')
+
+
+def test_the_camera_is_the_recorded_one(tmp_path):
+    with Bag(tmp_path / 'bag') as named:
+        named.events(EVENTS)
+        named.clock(START_US, '00000042')
+        named.clock(START_US, 'gps', topic='/gps/camera_clock')
+        named.clock(START_US, 'gps', topic='/mixtac/a_receiver')
+    with contextlib.closing(open_recording(tmp_path / 'bag')) as recording:
+        info = recording.info
+    assert replayed_identity(info).serial == '00000042'
+    assert replayed_identity(replace(info, camera='DAVIS346_00000043')).serial == '00000043'
 
 
 def test_its_last_packet_is_not_held_back(bag):
