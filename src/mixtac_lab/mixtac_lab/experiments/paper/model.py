@@ -91,7 +91,7 @@ def _step_rows(name: str, ms: dict[str, float], counted: str, paper: float | Non
     place = '' if paper is None else _PLACE
     text = f'this CPU, one thread, {counted}'
     return [
-        Row(f'{name}, median', _one(ms['p50']), paper, place, 'ms', text),
+        Row(name, _one(ms['p50']), paper, place, 'ms', f'median; {text}'),
         Row(f'{name}, 99th percentile', _one(ms['p99']), None, '', 'ms', text),
     ]
 
