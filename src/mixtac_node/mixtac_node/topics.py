@@ -340,7 +340,7 @@ TRUTH_OBJECT = Topic(
     'truth/object',
     'geometry_msgs/msg/PointStamped',
     depth=100,
-    description='Position of the simulated grasped object, z upwards [m].',
+    description='Position of the simulated grasped object in the contact frame, y upwards [m].',
 )
 
 

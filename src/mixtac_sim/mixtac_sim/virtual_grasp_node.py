@@ -51,7 +51,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
-    ``truth/wrench``, ``truth/object`` (its position, z upwards in m), and with ``publish_force``
+    ``truth/wrench``, ``truth/object`` (its position, y upwards in m), and with ``publish_force``
     ``force``, on the clock of the camera; without it the fingertip touches nothing until the first
     ``~/put_back``.
     """
@@ -171,7 +171,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
             place = PointStamped()
             place.header.stamp = ns_to_stamp(stamp_ns)
             place.header.frame_id = topics.CONTACT_FRAME
-            place.point.z = -1e-3 * self._grasp.object_mm
+            place.point.y = -1e-3 * self._grasp.object_mm
             self._place.publish(place)
 
     def _status(self) -> Status:

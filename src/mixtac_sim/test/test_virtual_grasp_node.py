@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual grasp as a process of its own: the clocks of what it publishes."""
+"""The virtual grasp as a process of its own: clocks and frames of what it publishes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from std_srvs.srv import Trigger
 
 from mixtac_node.base_node import QOS_FORCE
 from mixtac_node.stamps import stamp_to_ns
@@ -53,3 +54,19 @@ def test_the_force_goes_by_the_clock_of_the_camera(node_under_test, tmp_path):
     link.close()
     assert np.polyfit(*(pairs() - pairs()[0]).T, 1)[0] == pytest.approx(1.25, abs=1e-3)
     assert graph.stop()[0] == 0
+
+
+def test_what_is_struck_goes_down_in_the_contact_frame_and_drags_the_skin_along(
+    node_under_test, tmp_path
+):
+    graph = node_under_test
+    truth = graph.listen(WrenchStamped, TRUTH, QOS_FORCE)
+    places = graph.listen(PointStamped, '/mixtac/truth/object', QOS_FORCE)
+    graph.start('mixtac_sim.virtual_grasp_node', f'socket:={tmp_path}/camera.sock', 'preset:=easy')
+    graph.spin_until(lambda: places)
+    assert graph.call(Trigger, '/mixtac/virtual_grasp/knock').success
+    graph.spin_until(lambda: places[-1].point.y < -1e-4)
+    assert places[-1].header.frame_id == truth[-1].header.frame_id == 'mixtac_contact'
+    assert (places[-1].point.x, places[-1].point.z) == (0.0, 0.0)
+    force = truth[-1].wrench.force
+    assert force.y < 0.0 < force.z
