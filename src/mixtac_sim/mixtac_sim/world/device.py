@@ -41,7 +41,7 @@ class Conditions:
     """One day in the laboratory (spreads are estimates).
 
     Attributes:
-        contact_mm: Contact point, from the optical axis [mm].
+        contact_mm: Contact point, right and down from the optical axis [mm].
         stiffness: Modulus over the device's: temperature, rest since the last trial.
         lean: Shear displacement per depth, to the right and downwards: the indenter comes in
             a few degrees off the normal.
