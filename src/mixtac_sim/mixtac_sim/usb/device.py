@@ -80,6 +80,7 @@ class VirtualDavis346:
         self._data = DataEndpoint(
             self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
         )
+        self._stream = StreamAssembler(self.board, self._fifo, self._defects)
         self._power_ups = 0
         self._power_up()
 
@@ -392,9 +393,7 @@ class VirtualDavis346:
         self._oscillator = Oscillator(self._skew_ppm)
         self._reset_host_us = time.time_ns() // 1000 - self._clock()
         self._follow_defects()
-        self._stream = StreamAssembler(
-            self._registers, self.board, self._oscillator, self._fifo, self._defects
-        )
+        self._stream.power_up(self._registers, self._oscillator)
         self._endpoint0 = ControlEndpoint(self._registers, self.serial, self._written)
 
     def _follow_defects(self) -> None:
