@@ -148,7 +148,8 @@ class VirtualArmParameters:
         trajectory_topic: Topic of the trajectories, as for a joint_trajectory_controller
         joint_state_topic: Topic of the published joint states
         state_rate: Rate of the published joint states
-        update_rate: Update rate of the emulated controller
+        update_rate: Update rate of the emulated controller; with plant mujoco, 4000 Hz over a whole
+            number
         release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
             later
         plant: Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo
