@@ -125,7 +125,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
             self.get_logger().info(text)
 
     def _on_place(self, message: PointStamped) -> None:
-        self._log.on_place(self._now_s(), -1e3 * message.point.z)
+        self._log.on_place(self._now_s(), -1e3 * message.point.y)
 
     def _on_slip(self, message: SlipState) -> None:
         if message.state != self._state and message.state == SlipState.ENABLED:

@@ -210,7 +210,10 @@ def slip(
             callback=one_of('easy', 'paper_like', 'hard', 'varied'),
         ),
     ] = 'paper_like',
-    seed: Annotated[int, typer.Option(min=0, help='Random seed for sensor, trial and object.')] = 1,
+    seed: Annotated[
+        int,
+        typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
+    ] = 1,
     plant: Annotated[
         str,
         typer.Option(

@@ -136,26 +136,32 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize(
-    ('option', 'value'),
+    ('command', 'option', 'value'),
     [
-        ('--object', 'cat'),
-        ('--plant', 'foo'),
-        ('--preset', 'xyz'),
-        ('--margin', '0.5'),
-        ('--disturb', '-5'),
-        ('--every', '-1'),
-        ('--seed', '-1'),
+        ('up slip', '--object', 'cat'),
+        ('up slip', '--plant', 'foo'),
+        ('up slip', '--preset', 'xyz'),
+        ('up slip', '--margin', '0.5'),
+        ('up slip', '--disturb', '-5'),
+        ('up slip', '--every', '-1'),
+        ('up slip', '--seed', '-1'),
+        ('up slip', '--seed', '10000000'),
+        ('demo', '--device-seed', '10000000'),
     ],
 )
-def test_wrong_options_of_the_simulated_grasp_are_named_before_anything_starts(
-    option: str, value: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_wrong_options_of_simulations_are_named_before_anything_starts(
+    command: str,
+    option: str,
+    value: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def start(*_: object) -> None:
         raise AssertionError('something starts')
 
     monkeypatch.setattr('mixtac_node.process.ProcessGroup.start', start)
     try:
-        status = main(['up', 'slip', option, value])
+        status = main([*command.split(), option, value])
     except SystemExit as leave:
         status = leave.code
     assert status == 2

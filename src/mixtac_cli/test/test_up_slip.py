@@ -95,7 +95,7 @@ class Witness:
         self.farthest_m = max(self.farthest_m, float(moved[1]))
 
     def _on_place(self, message) -> None:
-        self.lowest_mm = max(self.lowest_mm, -1e3 * message.point.z)
+        self.lowest_mm = max(self.lowest_mm, -1e3 * message.point.y)
 
     def words(self) -> str:
         return self.log.read_text(errors='replace')

@@ -325,8 +325,8 @@ TRUTH_CONTACT = Topic(
     'truth/contact',
     'geometry_msgs/msg/PointStamped',
     depth=100,
-    description='Where the indenter meets the skin (x, y from the optical axis) and depth of the '
-    'dent (z) [m], 1 kHz, on the host clock.',
+    description='Where the indenter first meets the skin (x, y in the contact frame) and depth of '
+    'the dent (z) [m], 1 kHz, on the host clock.',
 )
 TRUTH_CLOCK_FIT = Topic(
     'truth/clock_fit',
@@ -340,7 +340,7 @@ TRUTH_OBJECT = Topic(
     'truth/object',
     'geometry_msgs/msg/PointStamped',
     depth=100,
-    description='Position of the simulated grasped object, z upwards [m].',
+    description='Position of the simulated grasped object in the contact frame, y upwards [m].',
 )
 
 

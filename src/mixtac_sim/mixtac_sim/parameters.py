@@ -119,8 +119,9 @@ class VirtualGraspParameters(VirtualCameraParameters):
         normal_x: Contact normal (unit vector) in the base frame, x component
         normal_y: Contact normal (unit vector) in the base frame, y component
         normal_z: Contact normal (unit vector) in the base frame, z component
-        publish_force: Publish the true normal force on `force`. Where an estimator does, set it to
-            false: the fingertip then touches nothing until the first ~/put_back, for the zero
+        publish_force: Publish the true force on `force`, on the clock of the camera. Where an
+            estimator does, set it to false: the fingertip then touches nothing until the first
+            ~/put_back, for the zero
         publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, and let it
             wait for the answers on `slip`, and on `force_quality` where an estimator tells the
             force, so that a slow host slows down all nodes alike
@@ -147,7 +148,8 @@ class VirtualArmParameters:
         trajectory_topic: Topic of the trajectories, as for a joint_trajectory_controller
         joint_state_topic: Topic of the published joint states
         state_rate: Rate of the published joint states
-        update_rate: Update rate of the emulated controller
+        update_rate: Update rate of the emulated controller; with plant mujoco, 4000 Hz over a whole
+            number
         release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
             later
         plant: Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo

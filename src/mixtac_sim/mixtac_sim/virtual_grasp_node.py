@@ -51,8 +51,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
-    ``truth/wrench``, ``truth/object`` (its position, z upwards in m), and ``force`` with
-    ``publish_force``; without it the fingertip touches nothing until the first ``~/put_back``.
+    ``truth/wrench``, ``truth/object`` (its position, y upwards in m), and with ``publish_force``
+    ``force``, on the clock of the camera; without it the fingertip touches nothing until the first
+    ``~/put_back``.
     """
 
     def __init__(self) -> None:
@@ -74,10 +75,11 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._time = PacedClock(paces if settings.publish_clock else ())
         self._reported = (0, time.monotonic())
         self._grasp, self._sensor = _make(settings, self._time)
-        self._server = UsbServer(self._sensor.device, path)
         self._wire(settings)
-        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
         self._sensor.start()
+        # The first step compiles: a driver that came before would see time stand still.
+        self._server = UsbServer(self._sensor.device, path)
+        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
         self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
         self._thread.start()
 
@@ -116,7 +118,10 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         return 1e-6 * self._time.now_us()
 
     def _on_answer(self, pace: AnswerPace, message: bytes) -> None:
-        pace.answer(header_stamp_ns(message) // 1000, self._time.now_us())
+        # The camera's clock drifts away from simulated time.
+        now_us = self._time.now_us()
+        late_us = self._sensor.device.stamp_us(now_us) - header_stamp_ns(message) // 1000
+        pace.answer(now_us - late_us, now_us)
 
     def _on_joints(self, message: JointState) -> None:
         places = dict(zip(message.name, message.position, strict=False))
@@ -159,11 +164,14 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         if len(batch.t_ns):
             stamp_ns, wrench = int(batch.t_ns[-1]), batch.wrench[-1].tolist()
             if self._force is not None:
-                self._force.publish(self._wrenches.serialised(stamp_ns, wrench))
+                # As of an estimator: on the clock of the camera.
+                true_us = (stamp_ns - self._time.start_epoch_ns) // 1000
+                camera_ns = 1000 * self._sensor.device.stamp_us(true_us)
+                self._force.publish(self._wrenches.serialised(camera_ns, wrench))
             place = PointStamped()
             place.header.stamp = ns_to_stamp(stamp_ns)
             place.header.frame_id = topics.CONTACT_FRAME
-            place.point.z = -1e-3 * self._grasp.object_mm
+            place.point.y = -1e-3 * self._grasp.object_mm
             self._place.publish(place)
 
     def _status(self) -> Status:

@@ -68,7 +68,9 @@ def demo(
     device_seed: Annotated[
         int,
         typer.Option(
-            min=0, help='Random seed that selects the virtual sensor (beads, gel, lamp, pixels).'
+            min=0,
+            max=9_999_999,
+            help='Random seed that selects the virtual sensor (beads, gel, lamp, pixels).',
         ),
     ] = 1001,
     model: Annotated[

@@ -78,6 +78,8 @@ class LaggingArm:
 
 
 JOINTS = 7
+STEP_S = 0.25e-3
+"""Step of the model, in ``fr3.xml`` [s]."""
 SETTLE_S = 0.2
 """Time in which servos and gel come to rest under the preload [s]."""
 REMEDY = 'python3 tools/setup.py --with mujoco, or pip install -r requirements/mujoco.txt'
@@ -114,6 +116,11 @@ class MujocoArm:
         if not lag_s > 0.0 or n_per_mm < 0.0:
             msg = f'lag {lag_s} s, stiffness {n_per_mm} N/mm: give a lag > 0 and no negative one'
             raise SimulationError(msg)
+        if abs(period_s - STEP_S * max(round(period_s / STEP_S), 1)) > 1e-9:
+            raise SimulationError(
+                f'MuJoCo cannot compute a period of {1e3 * period_s:g} ms in steps of 0.25 ms',
+                remedy='give an update rate of 4000 Hz over a whole number, such as 1000 Hz',
+            )
         try:
             # No types without the package.
             self._mujoco: Any = importlib.import_module('mujoco')
@@ -124,12 +131,11 @@ class MujocoArm:
         self._normal = np.asarray(normal, np.float64)
         contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
         self._model, self._data = self._posed(fr3_mjcf(contact, self._stiffness(lag_s), lag_s))
-        step_s = self._model.opt.timestep
-        self._steps = round(period_s / step_s)
+        self._steps = round(period_s / STEP_S)
         self._touches = contact is not None
         self.saturated = 0
         self._data.ctrl[:] = self._start_q
-        for _ in range(round(SETTLE_S / step_s)):
+        for _ in range(round(SETTLE_S / STEP_S)):
             self._step()
         self.saturated = 0
         self._origin = self.flange

@@ -83,8 +83,8 @@ class TruthMessages:
         stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64))
         received = (-(-stamps_ns // BATCH_NS) * BATCH_NS).tolist()
         point = np.zeros((len(truth), 3))
-        point[:, 0], point[:, 1] = (1e-3 * place for place in self._trial.contact_mm)
-        point[:, 2] = 1e-3 * truth['depth_mm']
+        right, down = self._trial.contact_mm
+        point[:, 0], point[:, 1], point[:, 2] = 1e-3 * right, -1e-3 * down, 1e-3 * truth['depth_mm']
         put = self._sink.put_rows
         put(received, topics.TRUTH_WRENCH.name, self._wrenches.make(stamps_ns, truth_wrench(truth)))
         put(received, topics.TRUTH_CONTACT.name, self._points.make(stamps_ns, point))

@@ -28,15 +28,15 @@ from mixtac_sim.world.effects import Preset
 from mixtac_sim.world.sensor import NOTHING, SensorOutput, truth_rows
 
 RESTART_US = 500_000
-"""Step of the camera clock against simulated time that counts as a new origin [us]."""
+"""Step of the stamps against simulated time that counts as a new origin [us]."""
 
 
 class AnswerPace:
-    """Limits simulated time by answers that are stamped on the camera clock.
+    """Limits simulated time by answers that are stamped with it.
 
-    The camera clock counts simulated time from an origin that is not known here. No answer comes
-    before what it answers, so the largest difference of stamp and simulated time seen so far is
-    nearest to that origin; it is too small by the smallest delay of an answer.
+    Stamps count simulated time, without a drift, from an origin that is not known here. No answer
+    comes before what it answers, so the largest difference of stamp and simulated time seen so far
+    is nearest to that origin; it is too small by the smallest delay of an answer.
 
     Args:
         ahead_us: Largest lead of simulated time over the last answer [us].
@@ -66,7 +66,7 @@ class AnswerPace:
         """Register an answer.
 
         Args:
-            stamp_us: End of the answered window, camera clock [us].
+            stamp_us: End of the answered window [us], simulated time from any origin.
             now_us: Simulated time [us].
         """
         origin_us = stamp_us - now_us

@@ -261,7 +261,10 @@ class LiveProfile:
         return longest
 
     def motion(self, first: int, count: int) -> Floats | None:
-        """Return the motion across the normal; as in `mixtac_sim.world.segments.Profile`."""
+        """Return the motion across the normal; as in `mixtac_sim.world.segments.Profile`.
+
+        What touches anew begins where the first contact was.
+        """
         steps = still(count)
         for begin, end, play in self._spans(first, count):
             part = play.scenario.motion(begin - play.start, end - begin)
@@ -269,6 +272,8 @@ class LiveProfile:
                 steps[begin - first : end - first] = part
                 # Skin that was pulled aside keeps that state.
                 self._moves = True
+            if begin == play.start and not play.scenario.goes_on:
+                steps[begin - first, :3] = np.nan
         return steps if self._moves else None
 
     def commands(self, first: int, count: int) -> Commands:

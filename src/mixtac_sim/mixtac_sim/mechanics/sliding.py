@@ -180,7 +180,8 @@ def _advance(
             indenter [4, axis]; changes.
         branches: Branches of the displacement [axis, branch]; change.
         update: Coefficients of a step, of ``PronySeries.update``.
-        way: Motion of the indenter against the skin [n, axis].
+        way: Motion of the indenter against the skin [n, axis]; nan where it goes back to where the
+            first contact was, and changes.
         rolled: How far the contact rolls [n, 2].
         pulled: Force that pulls at the indenter [n, 2] [N], nan where none does.
         stiffness: Of shear [N/mm] and of the turn [N mm/rad] [n, 2].
@@ -190,6 +191,8 @@ def _advance(
     """
     held, carried, gain = np.zeros(3), np.zeros(3), 1.0
     for k in range(way.shape[0]):
+        if np.isnan(way[k, 2]):
+            state[3] = way[k] = 0.0
         for axis in range(3):
             spring = stiffness[k, axis // 2]
             carried[axis], gain = force_terms(branches[axis], update, state[1, axis])

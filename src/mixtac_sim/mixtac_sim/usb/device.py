@@ -80,6 +80,7 @@ class VirtualDavis346:
         self._data = DataEndpoint(
             self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
         )
+        self._stream = StreamAssembler(self.board, self._fifo, self._defects)
         self._power_ups = 0
         self._power_up()
 
@@ -342,6 +343,16 @@ class VirtualDavis346:
         """True time [us] of the camera's last timestamp reset."""
         return self._oscillator.origin_us
 
+    def stamp_us(self, true_us: int) -> int:
+        """Return a true time [us] as a driver publishes it.
+
+        Returns:
+            Host time of the camera's last timestamp reset, plus its time since [us since the Unix
+            epoch].
+        """
+        with self._condition:
+            return self._reset_host_us + self._oscillator.now(true_us)
+
     @property
     def streaming(self) -> bool:
         """Whether the host has set the run bits."""
@@ -380,10 +391,9 @@ class VirtualDavis346:
         self._registers = RegisterFile(self.board)
         self._fifo.clear()
         self._oscillator = Oscillator(self._skew_ppm)
+        self._reset_host_us = time.time_ns() // 1000 - self._clock()
         self._follow_defects()
-        self._stream = StreamAssembler(
-            self._registers, self.board, self._oscillator, self._fifo, self._defects
-        )
+        self._stream.power_up(self._registers, self._oscillator)
         self._endpoint0 = ControlEndpoint(self._registers, self.serial, self._written)
 
     def _follow_defects(self) -> None:
@@ -396,6 +406,7 @@ class VirtualDavis346:
 
     def _restart_time(self, *, announce: bool) -> None:
         was_empty = not len(self._fifo)
+        self._reset_host_us = time.time_ns() // 1000
         self._stream.restart_time(self._clock(), announce=announce)
         self._data.announce(was_empty=was_empty)
 

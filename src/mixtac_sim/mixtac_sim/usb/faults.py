@@ -140,6 +140,18 @@ class FaultKind(str, Enum):
     CLEAR = 'clear'
 
 
+_SIGNED: Final = (FaultKind.CLOCK_SKEW, FaultKind.HEAT)
+_LARGEST: Final = {
+    'seconds': 1e9,
+    'count': 1e9,
+    'delay': 1e9,
+    'size': 1e9,
+    'seed': 2.0**64,
+    'amount': 1e6,
+}
+_LONGEST_SERIAL: Final = 8
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One fault.
@@ -152,7 +164,11 @@ class Fault:
         size: Bytes lost or inserted.
         seed: Seed of random values.
         amount: Strength, in the unit of its kind.
-        serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`; empty for the same.
+        serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`, at most eight
+            characters; empty for the same.
+
+    Raises:
+        FaultError: A value is not finite, too large, or negative where that means nothing.
     """
 
     kind: FaultKind
@@ -163,6 +179,22 @@ class Fault:
     seed: int = 0
     amount: float = 0.0
     serial: str = ''
+
+    def __post_init__(self) -> None:
+        """Refuse what would end the camera."""
+        for name, largest in _LARGEST.items():
+            value = getattr(self, name)
+            least = -largest if name == 'amount' and self.kind in _SIGNED else 0
+            if not least <= value <= largest:
+                raise FaultError(
+                    f'{name} of the fault {self.kind.value} is {value!r}',
+                    remedy=f'give {least:g} to {largest:g}',
+                )
+        if len(self.serial) > _LONGEST_SERIAL:
+            raise FaultError(
+                f'the serial number {self.serial!r} is too long',
+                remedy=f'give at most {_LONGEST_SERIAL} characters',
+            )
 
     def to_json(self) -> bytes:
         """Return the fault as a JSON object with the names of the attributes."""

@@ -217,10 +217,10 @@ _RISING_EDGE: Final = 3
 class StreamAssembler:
     """Orders, gates, encodes and buffers the data stream. Not thread safe: the device guards it.
 
+    Before all else comes `power_up`.
+
     Args:
-        registers: The register file, read at each step.
         board: The fixed properties of the camera.
-        oscillator: The camera clock.
         fifo: Buffer for the words.
         defects: Defects of the camera and signals at it.
 
@@ -228,24 +228,25 @@ class StreamAssembler:
         done_us: True time up to which everything was sent [us].
     """
 
-    def __init__(
-        self,
-        registers: RegisterFile,
-        board: Board,
-        oscillator: Oscillator,
-        fifo: ByteFifo,
-        defects: Defects,
-    ) -> None:
+    def __init__(self, board: Board, fifo: ByteFifo, defects: Defects) -> None:
         self._defects = defects
-        self._registers = registers
         self._board = board
-        self._oscillator = oscillator
         self._fifo = fifo
-        self._encoder = WordEncoder(inverted=board.dvs_inverted)
-        self._filter = EventFilter.from_registers(registers)
         self._events: deque[Events] = deque(maxlen=_MAX_WAITING)
         self._frames: deque[ApsFrame] = deque(maxlen=_MAX_WAITING)
         self._readings: deque[ImuReading] = deque(maxlen=_MAX_WAITING)
+
+    def power_up(self, registers: RegisterFile, oscillator: Oscillator) -> None:
+        """Begin anew, with what was handed over ahead of time.
+
+        Args:
+            registers: The register file, read at each step.
+            oscillator: The camera clock.
+        """
+        self._registers = registers
+        self._oscillator = oscillator
+        self._encoder = WordEncoder(inverted=self._board.dvs_inverted)
+        self._filter = EventFilter.from_registers(registers)
         self._readout = Blocks.empty()
         self._stalled = False
         self._snapshot = False

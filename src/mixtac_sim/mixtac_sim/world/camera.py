@@ -152,7 +152,6 @@ class Camera:
 
     def _brightness(self, now_us: int) -> float:
         """Return the lamp's light over the device's, during the exposure that may end now."""
-        day = self._conditions
-        steady = day.light * (1.0 + day.light_drift_per_s * 1e-6 * now_us)
+        steady = self._conditions.light_at(now_us)
         start_us, end_us = self._aps.exposure_us
         return steady if end_us > now_us else steady * self._flicker.mean(start_us, end_us)

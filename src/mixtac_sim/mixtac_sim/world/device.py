@@ -32,18 +32,21 @@ from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
 from mixtac_sim.random_streams import log_uniform, stream
 from mixtac_sim.world.effects import EASY, LightEffects, OpticsEffects, Preset
 
+LAMP_WARM_US = 600_000_000
+"""Time after which the LEDs are warm [us] (estimate)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """One day in the laboratory (spreads are estimates).
 
     Attributes:
-        contact_mm: Contact point, from the optical axis [mm].
+        contact_mm: Contact point, right and down from the optical axis [mm].
         stiffness: Modulus over the device's: temperature, rest since the last trial.
         lean: Shear displacement per depth, to the right and downwards: the indenter comes in
             a few degrees off the normal.
         light: Light over the device's.
-        light_drift_per_s: Relative change of the light per second, from warming LEDs.
+        light_drift_per_s: Relative change of the light per second while the LEDs warm up.
         friction: Friction over the device's.
         camera_shift_px: Shift of the camera, right and down [px].
         camera_roll_rad: Rotation of the camera [rad].
@@ -59,6 +62,10 @@ class Conditions:
     camera_shift_px: tuple[float, float] = (0.0, 0.0)
     camera_roll_rad: float = 0.0
     exposure: float = 1.0
+
+    def light_at(self, t_us: int) -> float:
+        """Return the light over the device's at a time since the start of the trial [us]."""
+        return self.light * (1.0 + self.light_drift_per_s * 1e-6 * min(t_us, LAMP_WARM_US))
 
 
 def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:

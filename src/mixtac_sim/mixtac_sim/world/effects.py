@@ -165,7 +165,7 @@ class LightEffects:
 
     Attributes:
         day: Light over the device's on a day.
-        drift_per_s: Relative change of the light, from warming LEDs [1/s].
+        drift_per_s: Relative change of the light while the LEDs warm up [1/s].
         exposure: Exposure of a trial over 7 ms, unless one is set.
         ripple: Depth of the lamp's ripple: peak over mean, less 1.
         ripple_hz: Frequency of the ripple [Hz]; twice the mains'.

@@ -114,10 +114,11 @@ class Wander:
         """Return the drift since time 0 at times from 0 on [n] [s], as [n, 6]."""
         if not len(t_s):
             return np.zeros((0, 6))
-        self._extend(int(t_s.max() / WANDER_KNOT_S) + 2)
-        times = WANDER_KNOT_S * np.arange(len(self._knots))
-        bounded = np.clip(self._knots, -WANDER_BOUND, WANDER_BOUND)
-        columns = [np.interp(t_s, times, column - column[0]) for column in bounded.T]
+        first, end = int(t_s.min() / WANDER_KNOT_S), int(t_s.max() / WANDER_KNOT_S) + 2
+        self._extend(end)
+        times = WANDER_KNOT_S * np.arange(first, end)
+        bounded = np.clip(self._knots[[0, *range(first, end)]], -WANDER_BOUND, WANDER_BOUND)
+        columns = [np.interp(t_s, times, column[1:] - column[0]) for column in bounded.T]
         return np.stack(columns, axis=1)
 
     def _extend(self, count: int) -> None:
@@ -126,10 +127,10 @@ class Wander:
         if missing <= 0:
             return
         steps = np.sqrt(1.0 - self._kept**2) * self._rng.standard_normal((missing, 6))
-        knots = [*self._knots]
+        knots = [self._knots[-1]]
         for step in steps:
             knots.append(self._kept * knots[-1] + step)
-        self._knots = np.stack(knots)
+        self._knots = np.concatenate([self._knots, knots[1:]])
 
 
 REFERENCE_HZ = 800.0
@@ -139,6 +140,8 @@ FILTER_US = 1_600.0
 """Half width of the triangular filter [us]: -3 dB at 0.319 / 1.6 ms = 200 Hz."""
 FILTER_TAPS = 33
 """Points at which the filter's integral is taken."""
+WARM_UP_S = 25.0
+"""Time of the warm-up [s] (estimate)."""
 REFERENCE_RESOLUTION = np.array([5e-3, 5e-3, 5e-3, 5e-5, 5e-5, 5e-5])
 """Step of the output [N, Nm]."""
 REFERENCE_UNITS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
@@ -232,9 +235,11 @@ class ReferenceSensor:
         return np.stack(columns, axis=1)
 
     def _slow(self, true_s: Floats) -> Floats:
-        """Return the drift: a slope and a slow wave, or one that saturates."""
+        """Return the drift: a warm-up and a slow wave, or one that saturates."""
         wave = np.sin(2.0 * np.pi * true_s / self._wave_s)
-        drift = np.outer(true_s / 25.0, self._drift[0]) + np.outer(wave, self._drift[1])
+        drift = np.outer(np.minimum(true_s / WARM_UP_S, 1.0), self._drift[0]) + np.outer(
+            wave, self._drift[1]
+        )
         if self._wander_n > 0.0:
             drift += self._wander_n * REFERENCE_UNITS * self._wander.at(true_s)
         return np.asarray(drift)

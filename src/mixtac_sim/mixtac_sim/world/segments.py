@@ -125,8 +125,9 @@ class CommandSource(Protocol):
     def motion(self, first: int, count: int) -> Floats | None:
         """Return the motion across the normal over some grid steps; None if there never is one.
 
-        Right and down [mm], turn [rad], rolling to the right and down [mm], and the pull to the
-        right and down at the end of each step [N], nan where nothing pulls [count, 7].
+        Right and down [mm], turn [rad], all nan where the indenter goes back to where the first
+        contact was, rolling to the right and down [mm], and the pull to the right and down at the
+        end of each step [N], nan where nothing pulls [count, 7].
         """
 
 
@@ -168,6 +169,11 @@ class Profile:
         """Return every indenter once; commands refer to it by its place here."""
         found = dict.fromkeys(segment.indenter for segment in self.segments)
         return tuple(found) or (HEMISPHERE,)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it begins with a force: the indenter of what came before stays in contact."""
+        return any(s.mode is Mode.FORCE and s.values[0] > 0.0 for s in self.segments[:1])
 
     def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``.

@@ -144,7 +144,7 @@ class TrialStream:
     Attributes:
         spec: The trial.
         profile: The commanded contact.
-        contact_mm: Contact point, from the optical axis [mm].
+        contact_mm: First contact point, right and down from the optical axis [mm].
         reference: The reference force sensor, with its clock.
         sensor: The tactile sensor.
 

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import sys
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import Q_LOWER, Q_UPPER, READY, flange_place, fr3_mjcf
-from mixtac_sim.arm.plant import MujocoArm
+from mixtac_sim.arm.plant import STEP_S, MujocoArm
 
 SIDEWAYS = np.array([0.0, 1.0, 0.0])
 
@@ -96,3 +97,14 @@ def test_without_gravity_compensation_in_the_model_the_arm_sags(mujoco) -> None:
 def test_values_that_mean_nothing_are_refused(lag_s: float, n_per_mm: float) -> None:
     with pytest.raises(SimulationError):
         MujocoArm(READY, SIDEWAYS, lag_s, n_per_mm=n_per_mm)
+
+
+@pytest.mark.parametrize('rate_hz', [600.0, 3000.0])
+def test_a_period_that_is_no_whole_number_of_steps_is_refused(monkeypatch, rate_hz) -> None:
+    monkeypatch.setitem(sys.modules, 'mujoco', MagicMock())
+    with pytest.raises(SimulationError):
+        MujocoArm(READY, SIDEWAYS, period_s=1.0 / rate_hz)
+
+
+def test_the_step_is_that_of_the_model() -> None:
+    assert f'timestep="{STEP_S}"' in fr3_mjcf()

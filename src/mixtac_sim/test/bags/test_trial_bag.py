@@ -22,6 +22,8 @@ from mixtac_sim.bags.messages import TrialClocks
 from mixtac_sim.bags.trial_bag import BAG_TOPICS, is_finished, trial_messages, write_trial
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.world.device import draw_conditions
+from mixtac_sim.world.effects import preset
 from mixtac_sim.world.trial import TrialStream
 
 SPEC = TrialSpec('press_one', 'press', 2.8, 11, 12, 'easy', 'train')
@@ -261,9 +263,12 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     assert abs(measured - expected) < 0.004
 
 
-def test_contact_truth_goes_with_the_force(bag):
+def test_contact_truth_goes_with_the_force_in_the_contact_frame(bag):
     _, forces = bag.wrenches(TRUTH + 'wrench')
-    depths = np.array([m.point.z for _, _, m in bag.messages(TRUTH + 'contact')])
+    points = [m.point for _, _, m in bag.messages(TRUTH + 'contact')]
+    right, down = draw_conditions(SPEC.trial_seed, preset(SPEC.preset)).contact_mm
+    assert {(point.x, point.y) for point in points} == {(1e-3 * right, -1e-3 * down)}
+    depths = np.array([point.z for point in points])
     assert len(depths) == len(forces)
     assert 0.2e-3 < depths.max() < 5e-3
     assert np.corrcoef(depths, forces[:, 2])[0, 1] > 0.8

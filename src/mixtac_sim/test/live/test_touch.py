@@ -84,13 +84,13 @@ def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
     control.slide(replace(P, slide_distance=1.5, hold_seconds=0.5))
     steps = sensor.profile.motion(0, 24_000)
-    assert steps[:, :5].sum(axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
+    assert np.nansum(steps[:, :5], axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
     assert np.isnan(steps[:, 5:]).all()
-    assert np.cumsum(steps[:, 0]).max() == pytest.approx(1.5)
+    assert np.nancumsum(steps[:, 0]).max() == pytest.approx(1.5)
     sensor.commands(3_000_000)
     control.torsion(replace(P, torsion_angle=-30.0, hold_seconds=0.0))
     turned = sensor.profile.motion(24_000, 80_000)[:, 2]
-    assert turned.sum() == pytest.approx(np.radians(-30.0))
+    assert np.nansum(turned) == pytest.approx(np.radians(-30.0))
 
 
 def test_a_pull_goes_on_from_the_press_and_from_the_pull_before(sensor, control):
@@ -222,3 +222,27 @@ def test_every_object_can_be_simulated(name):
     truth = sensor.advance(260_000).truth
     assert truth['fz'].max() == pytest.approx(0.5, rel=0.02)
     assert 0.05 < truth['depth_mm'].max() < 3.0
+
+
+def test_what_was_pulled_away_touches_where_it_did_at_first():
+    """Also when it was taken off before it moved back, and from the skin that it left."""
+    tool = LIVE_INDENTERS['hemisphere']
+    profile = LiveProfile(tuple(LIVE_INDENTERS.values()))
+    sensor = TactileSensor(1, 1, profile)
+
+    def torques(scenario, until_us):
+        """Return the torques about the middle of the sensor in the end [Nm]."""
+        profile.play(scenario, sensor_us[-1])
+        sensor_us.append(until_us)
+        return sensor.advance(until_us).wrench[-1, 3:5]
+
+    sensor_us = [0]
+    first = torques(live_gestures.press(tool, 0.5, 9.0), 400_000)
+    torques(live_gestures.release(tool, 0.5), 700_000)
+    pulled = torques(live_gestures.pull(tool, (0.0, 0.5), ((0.0, 0.0), (3.0, 0.0)), 9.0), 1_900_000)
+    assert np.abs(pulled - first).max() > 1e-3
+    held = torques(live_gestures.pull(tool, (0.5, 0.5), ((0.0, 0.0), (0.1, 0.0)), 9.0), 2_100_000)
+    assert np.abs(held - first).max() > 1e-3
+    torques(live_gestures.release(tool, 0.5), 2_500_000)
+    again = torques(live_gestures.press(tool, 0.5, 9.0), 2_900_000)
+    np.testing.assert_allclose(again, first, atol=1e-4)

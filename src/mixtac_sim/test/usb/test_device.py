@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import struct
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -18,6 +19,18 @@ from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout
 @pytest.fixture
 def device():
     return VirtualDavis346('V0000042')
+
+
+def test_its_stamps_count_from_the_host_time_of_the_last_reset_at_the_pace_of_the_camera():
+    now_us = 7_000_000
+    device = VirtualDavis346('V0000042', skew_ppm=500.0, clock=lambda: now_us)
+    start(device)
+    before_us = time.time_ns() // 1000
+    write(device, 0, 2, 1)
+    after_us = time.time_ns() // 1000
+    reset_us = device.stamp_us(now_us)
+    assert before_us <= reset_us <= after_us
+    assert device.stamp_us(now_us + 60_000_000) == reset_us + 60_030_000
 
 
 def write(device, module, param, value):

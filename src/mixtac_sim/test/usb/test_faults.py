@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import struct
 import threading
 import time
@@ -88,6 +89,26 @@ def test_unplugged_camera_is_gone_and_comes_back_as_after_power_up(camera):
     camera.open()
     assert camera.device.streaming
     camera.fails(errno.ENODEV, old.ctrl_transfer, 0xC0, 0xBF, 6, 0, 4)
+
+
+@pytest.mark.parametrize(
+    'values',
+    [
+        {'kind': FaultKind.NOISE, 'amount': -5.0},
+        {'kind': FaultKind.BLUR, 'amount': float('nan')},
+        {'kind': FaultKind.EDGES, 'amount': 1e9},
+        {'kind': FaultKind.FLASH, 'seconds': float('inf')},
+        {'kind': FaultKind.HEAT, 'amount': float('nan')},
+        {'kind': FaultKind.GARBAGE_WORDS, 'size': -4},
+        {'kind': FaultKind.DROP_BYTES, 'seed': -1},
+        {'kind': FaultKind.UNPLUG, 'serial': 'V' * 9},
+    ],
+)
+def test_what_would_end_the_camera_is_refused(values):
+    with pytest.raises(FaultError):
+        Fault(**values)
+    with pytest.raises(FaultError):
+        Fault.from_json(json.dumps(values).encode())
 
 
 def test_it_comes_back_by_itself_with_another_serial_number(camera):

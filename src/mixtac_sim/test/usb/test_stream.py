@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from usb_oracle import DVS, MUX, USB, camera, decode, drain, events_of, some_frame, write
 
+from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.registers import Board
 
 event_rows = st.lists(
@@ -50,6 +51,21 @@ def test_events_of_one_row_and_time_share_a_row_word():
     assert drain(device).tolist() == words
     assert device.register(DVS, 82) == 3
     assert device.register(DVS, 84) == 4
+
+
+@pytest.mark.parametrize('power_up', [VirtualDavis346.plug_in, VirtualDavis346.reset])
+def test_what_is_known_ahead_of_time_comes_after_a_power_up(power_up):
+    now_us = [0]
+    device = camera(now=now_us)
+    device.submit(events_of([(t, 7, 1, True) for t in range(500, 100_000, 1000)]))
+    device.advance(30_000)
+    power_up(device)
+    device.advance(60_000)
+    now_us[0] = 60_000
+    write(device, (MUX, 3, 1), (USB, 0, 1), (MUX, 1, 1), (MUX, 0, 1), (USB, 1, 0), (DVS, 3, 1))
+    device.advance(100_000)
+    expected = [(t, 7, 1, True) for t in range(500, 40_000, 1000)]
+    assert decode(drain(device)).events == expected
 
 
 def test_event_filters():

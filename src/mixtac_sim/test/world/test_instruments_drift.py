@@ -36,6 +36,17 @@ def test_drift_does_not_depend_on_how_it_is_asked_for():
     assert body.at(np.empty(0)).shape == (0, 6)
 
 
+def test_easy_readings_are_warm_after_half_a_minute():
+    """Nothing but a wave of a few millinewtons is left of the drift, also after ten minutes."""
+    sensor = ReferenceSensor(5)
+    means = []
+    for second in range(600):
+        t_us = 1_000_000 * second + np.arange(1, 1_001) * 1000
+        means.append(sensor.process(t_us, np.zeros((1_000, 6))).wrench[:, :3].mean(axis=0))
+    early, late = np.mean(means[30:150], axis=0), np.mean(means[480:], axis=0)
+    np.testing.assert_allclose(late, early, atol=3e-3)
+
+
 def test_torques_leak_into_forces_where_asked_to():
     t_us = np.arange(1, 8_001) * 125
     wrench = np.zeros((8_000, 6))
