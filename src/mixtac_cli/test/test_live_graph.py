@@ -16,7 +16,6 @@ rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_cli.monitor_node import Monitor  # noqa: E402
 from mixtac_node.graph import sensor_graph  # noqa: E402
-from mixtac_node.process import GraphError  # noqa: E402
 from mixtac_node.topics import TOPICS, message_class  # noqa: E402
 
 if TYPE_CHECKING:
@@ -102,12 +101,3 @@ def test_every_node_reports_and_says_that_it_is_simulated(graph: Monitor):
     assert names <= set(graph.diagnostics)
     for name in ('mixtac/driver', 'mixtac/virtual_sensor'):
         assert graph.diagnostics[name]['simulated'] == 'True'
-
-
-def test_a_sensor_may_be_in_the_root_namespace(ros_domain):
-    class Ended:
-        def check(self):
-            raise GraphError('fger has ended')
-
-    with Monitor('/', 1.0) as monitor, pytest.raises(GraphError):
-        monitor.bring_up('fger', Ended())
