@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_cli.monitor_node import Monitor  # noqa: E402
-from mixtac_node.process import GraphError  # noqa: E402
+from mixtac_cli.monitor_node import Monitor
+from mixtac_node.process import GraphError
 
 pytestmark = pytest.mark.dds
 
