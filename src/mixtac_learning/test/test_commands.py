@@ -241,6 +241,23 @@ def test_impossible_runs_are_refused(tmp_path, text):
         read_run_config(path)
 
 
+@pytest.mark.parametrize(
+    ('settings', 'name', 'value'),
+    [
+        (TrainingSettings, 'frame_batch', 0),
+        (TrainingSettings, 'chunk_windows', 0),
+        (TrainingSettings, 'group_trials', 0),
+        (TrainingSettings, 'frame_epochs', -1),
+        (PaperTraining, 'cycles', 0),
+        (PaperTraining, 'event_batch', 1),
+        (PaperTraining, 'frame_rate', float('nan')),
+    ],
+)
+def test_impossible_settings_are_refused_before_the_data_are_read(settings, name, value):
+    with pytest.raises(ConfigError):
+        from_mapping(settings, {name: value}, 'training')
+
+
 def test_evaluating_a_missing_model_simulates_nothing(tmp_path, simulated):
     with pytest.raises(ModelError):
         training_cli.evaluate(None, str(tmp_path / 'no.safetensors'), 2, 1, 6.0)
