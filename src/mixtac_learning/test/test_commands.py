@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
+import time
 from dataclasses import asdict
 from types import SimpleNamespace
 
@@ -135,7 +137,10 @@ def test_trials_of_bags_beside_simulated_ones_do_not_count_as_simulated_sensors(
     assert set(judge_trained(config, Trained(model, [], [bag], {}))) == {'unseen_devices'}
 
 
-def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
+def test_a_finished_run_is_not_trained_again(tmp_path, simulated, monkeypatch):
+    minutes = itertools.count(step=60.0)
+    clock = SimpleNamespace(monotonic=time.monotonic, process_time=lambda: next(minutes))
+    monkeypatch.setattr('mixtac_learning.train.loop.time', clock)
     config = tmp_path / 'run.yaml'
     config.write_text(
         'model: ours\n'
@@ -155,6 +160,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     stages = []
     again = train_model(chosen, tmp_path / 'run', report=lambda *row: stages.append(row))
     assert stages == []
+    # What its two epochs took is not forgotten.
+    assert again.model.card.training['core_minutes'] >= 2.0
     for name, value in first.model.tensors.items():
         assert np.array_equal(value, again.model.tensors[name])
     other = with_overrides(chosen, None, 4, None)

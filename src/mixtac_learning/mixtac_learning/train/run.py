@@ -194,7 +194,7 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
 
     Args:
         folder: Made if need be.
-        curves: One row per epoch: stage, epoch, loss, validation, seconds.
+        curves: As in `mixtac_learning.train.loop.Progress`.
     """
     from matplotlib.figure import Figure
 
@@ -264,6 +264,12 @@ def train_model(
     started, busy = time.monotonic(), time.process_time()
     together = processes or Processes()
     device = chosen_device(config.device)
+    own_epochs = 0
+
+    def count(*row: Any) -> None:  # noqa: ANN401
+        nonlocal own_epochs
+        own_epochs += 1
+        report(*row)
 
     def make_loop(*arguments: Any, **settings: Any) -> TrainingLoop:  # noqa: ANN401
         checkpoint = None if folder is None else folder / CHECKPOINT
@@ -271,7 +277,7 @@ def train_model(
         text = f'{config.fingerprint()} {names} {together.world}'
         digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
         return TrainingLoop(
-            *arguments, checkpoint=checkpoint, fingerprint=digest, report=report, **settings
+            *arguments, checkpoint=checkpoint, fingerprint=digest, report=count, **settings
         )
 
     with_card: Callable[[ModelCard], Model]
@@ -305,9 +311,12 @@ def train_model(
             make_loop=make_loop,
         )
         with_card = partial(paper_model_of, paper_network)
+    # What the epochs took that were done before an interruption counts as well.
+    before = curves[: len(curves) - own_epochs]
+    wall_s, core_s = (sum(row[name] for row in before) for name in ('seconds', 'core_seconds'))
     training = provenance(config, data, asdict(settings)) | {
-        'minutes': round((time.monotonic() - started) / 60, 1),
-        'core_minutes': round((time.process_time() - busy) / 60, 2),
+        'minutes': round((wall_s + time.monotonic() - started) / 60, 1),
+        'core_minutes': round((core_s + time.process_time() - busy) / 60, 2),
         'processes': together.world,
     }
     if folder is not None and together.leads:
