@@ -51,7 +51,11 @@ def train(
     ] = None,
     seed: Annotated[
         OptionalInt,
-        typer.Option(min=0, help='Random seed for data, initial weights and shuffling.'),
+        typer.Option(
+            min=0,
+            help='Random seed for initial weights and shuffling; without a file, for the simulated'
+            ' data as well.',
+        ),
     ] = None,
     trials: Annotated[int, typer.Option(min=1, help='Simulated trials to train on.')] = 96,
     gels: Annotated[int, typer.Option(min=1, help='Number of distinct simulated sensors.')] = 96,

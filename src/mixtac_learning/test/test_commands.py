@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
+import time
 from dataclasses import asdict
 from types import SimpleNamespace
 
@@ -30,7 +32,8 @@ from mixtac_learning.train.config import (
 )
 from mixtac_learning.train.loop import TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining
-from mixtac_learning.train.run import train_model
+from mixtac_learning.train.run import Trained, judge_trained, run_training, train_model
+from mixtac_learning.trials.bags import BagSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.sensor import TRUTH_DTYPE
@@ -94,7 +97,50 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys, mo
     assert picture.exists()
 
 
-def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
+def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
+    tmp_path, simulated, monkeypatch, capsys
+):
+    toy = generation.simulate
+
+    def untouched(spec):
+        found = toy(spec)
+        if spec.device_seed < generation.UNSEEN:
+            return found
+        truth = np.zeros_like(found.truth)
+        truth['t_us'] = found.truth['t_us']
+        return SimpleNamespace(**vars(found) | {'truth': truth})
+
+    monkeypatch.setattr(generation, 'simulate', untouched)
+    out, brief = tmp_path / 'small.safetensors', {'frame_epochs': 1, 'recurrent_epochs': 1}
+    config = RunConfig(
+        out=str(out),
+        training={**brief, 'joint_epochs': 0, 'deviation_epochs': 0},
+        data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.0),
+        judged=1,
+    )
+    run_training(config, tmp_path / 'run', 1, None)
+    assert 'not judged' in capsys.readouterr().out
+    card = read_model(out).card
+    assert card.training['trials'] == 2
+    assert card.metrics == {}
+
+
+def test_trials_of_bags_beside_simulated_ones_do_not_count_as_simulated_sensors(
+    tmp_path, simulated
+):
+    config = RunConfig(data=DataConfig(SimulatedData(('easy',)), bags=(str(tmp_path),)), judged=1)
+    model = read_model(find_model('fger_small'))
+    bag = BagSource(tmp_path / 'trial_1')
+    spec = TrialSpec(100_000, 100_000, 'press', 4.0)
+    found = judge_trained(config, Trained(model, [], [bag, SimulatedSource(spec)], {}))
+    assert set(found) == {'seen_devices', 'unseen_devices'}
+    assert set(judge_trained(config, Trained(model, [], [bag], {}))) == {'unseen_devices'}
+
+
+def test_a_finished_run_is_not_trained_again(tmp_path, simulated, monkeypatch):
+    minutes = itertools.count(step=60.0)
+    clock = SimpleNamespace(monotonic=time.monotonic, process_time=lambda: next(minutes))
+    monkeypatch.setattr('mixtac_learning.train.loop.time', clock)
     config = tmp_path / 'run.yaml'
     config.write_text(
         'model: ours\n'
@@ -114,6 +160,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     stages = []
     again = train_model(chosen, tmp_path / 'run', report=lambda *row: stages.append(row))
     assert stages == []
+    # What its two epochs took is not forgotten.
+    assert again.model.card.training['core_minutes'] >= 2.0
     for name, value in first.model.tensors.items():
         assert np.array_equal(value, again.model.tensors[name])
     other = with_overrides(chosen, None, 4, None)
@@ -198,6 +246,23 @@ def test_impossible_runs_are_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ConfigError):
         read_run_config(path)
+
+
+@pytest.mark.parametrize(
+    ('settings', 'name', 'value'),
+    [
+        (TrainingSettings, 'frame_batch', 0),
+        (TrainingSettings, 'chunk_windows', 0),
+        (TrainingSettings, 'group_trials', 0),
+        (TrainingSettings, 'frame_epochs', -1),
+        (PaperTraining, 'cycles', 0),
+        (PaperTraining, 'event_batch', 1),
+        (PaperTraining, 'frame_rate', float('nan')),
+    ],
+)
+def test_impossible_settings_are_refused_before_the_data_are_read(settings, name, value):
+    with pytest.raises(ConfigError):
+        from_mapping(settings, {name: value}, 'training')
 
 
 def test_evaluating_a_missing_model_simulates_nothing(tmp_path, simulated):

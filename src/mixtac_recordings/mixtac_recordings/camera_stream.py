@@ -112,13 +112,13 @@ class BagRecording:
                     yield held
                 held, passed = piece, 0
                 continue
+            if topic == self._events:
+                self.counters.packets_missing += counter.update(message.seq)
             yield piece
             passed += 1
             if held is not None and passed >= PATIENCE:
                 yield held
                 held = None
-            if topic == self._events:
-                self.counters.packets_missing += counter.update(message.seq)
         if held is not None:
             yield held
 

@@ -50,7 +50,7 @@ from mixtac_learning.train.stages import (
 )
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import Sample
-from mixtac_learning.trials.trial import ForceLabel, camera_end_us, sensor_of
+from mixtac_learning.trials.trial import ForceLabel, camera_end_us, camera_start_us, sensor_of
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
 
@@ -328,7 +328,7 @@ def sideways_fit(model: Model, source: BagSource, loads: Sequence[Load]) -> Pull
         MixtacError: The recording or the model cannot be used, or not calibrated by these pulls.
     """
     trial = source.load_camera()
-    start_us = int(min(trial.events.t[0], trial.exposure_start_us[0]))
+    start_us = camera_start_us(trial)
     times = np.array([start_us, camera_end_us(trial)], np.float64)
     found = stream(model, replace(trial, truth=ForceLabel(times, np.zeros(2))))
     across = np.full((len(found.t_us), 2), np.nan) if found.across is None else found.across

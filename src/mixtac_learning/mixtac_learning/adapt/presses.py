@@ -23,7 +23,7 @@ from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
 from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import Sample, make_sample
-from mixtac_learning.trials.trial import ForceLabel, TrialArrays, camera_end_us
+from mixtac_learning.trials.trial import ForceLabel, TrialArrays, camera_end_us, camera_start_us
 
 _NUMBER = r'(\d+(?:\.\d*)?|\.\d+)'
 _FORM = re.compile(f'{_NUMBER}:{_NUMBER}-{_NUMBER}')
@@ -285,7 +285,7 @@ def gather_presses(
 def _sample(network: FgerNetwork, trial: TrialArrays, loads: Sequence[Load]) -> Sample:
     if not loads:
         return make_sample(network.config, trial, trial.label(), trial.origin)
-    start_us = min(int(trial.events.t[0]), int(trial.exposure_start_us[0]))
+    start_us = camera_start_us(trial)
     label = load_label(loads, start_us, camera_end_us(trial))
     sample = make_sample(network.config, trial, label, trial.origin)
     known = known_windows(loads, sample.window_end_us, start_us)

@@ -36,6 +36,7 @@ from mixtac_learning.trials.trial import (
     TrialArrays,
     TrialSource,
     camera_end_us,
+    camera_start_us,
     sensor_of,
     window_ends,
 )
@@ -132,13 +133,17 @@ def stream(
     estimator = ForceEstimator(opened, assume_free=True, **options)
     label, width = trial.label(), opened.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-    begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
+    # A log of forces may begin hours before the camera.
+    known = max(int(label.t_us[0]), camera_start_us(trial))
+    begin = min(int(trial.arrival_us[0]), known) // width * width
     last = min(int(label.t_us[-1]), camera_end_us(trial))
     ends = np.arange(begin + width, last + 1, width)
     cuts = np.searchsorted(trial.events.t, [begin, *ends])
     arrived = np.searchsorted(trial.arrival_us[:frames], ends, side='right')
     frame_lost = None if losses is None else losses.lost_frames(trial.arrival_us)
     packet_lost = np.zeros(len(ends), np.bool_) if losses is None else losses.lost_packets(ends)
+    for before, after in trial.gaps_us:
+        packet_lost |= (ends > before) & (ends - width < after)
     done = 0
     rows = []
     for index, end in enumerate(ends.tolist()):

@@ -260,7 +260,7 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
         left.plot(seconds, each.force, 'tab:green', lw=0.8, label='estimate')
         left.set(title=f'{each.profile}: {each.name}', xlabel='time [s]', ylabel='force [N]')
         left.legend(fontsize='x-small')
-        rolling = rolling_errors(each.known, each.force, 0.002)
+        rolling = rolling_errors(each.known, each.force, _interval_s(each))
         right.step(ROLLING_S * np.arange(len(rolling)), rolling, where='post')
         right.set(title='rolling MAE', xlabel='time [s]', ylabel='N', ylim=(0, None))
     path.parent.mkdir(parents=True, exist_ok=True)

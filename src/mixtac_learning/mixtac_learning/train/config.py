@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,22 @@ from mixtac_learning.paper.config import MODELS as PAPER_MODELS
 from mixtac_node.files import FileError, read_dataclass
 from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
+
+
+def check_settings(settings: Any, counts: Mapping[str, int]) -> None:  # noqa: ANN401
+    """Check the numbers of training settings.
+
+    Args:
+        settings: A dataclass.
+        counts: Least values of some fields; no number is below 0.
+
+    Raises:
+        ConfigError: A number is smaller.
+    """
+    for name, value in dataclasses.asdict(settings).items():
+        least = counts.get(name, 0)
+        if isinstance(value, (int, float)) and not value >= least:
+            raise ConfigError(f'training.{name} = {value}', remedy=f'give {least} or more')
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +86,14 @@ class TrainingSettings:
     blow_every: int = 0
     group_trials: int = 128
     patience: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: One is too small.
+        """
+        check_settings(self, {'frame_batch': 1, 'chunk_windows': 1, 'group_trials': 1})
 
 
 OURS = 'ours'

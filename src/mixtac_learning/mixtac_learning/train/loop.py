@@ -58,7 +58,7 @@ def schedule_factor(name: str, part: float) -> float:
     return _LAST + 0.5 * (1.0 - _LAST) * (1.0 + math.cos(math.pi * phase))
 
 
-SCHEMA = '1'
+SCHEMA = '2'
 
 
 @dataclass(slots=True)
@@ -70,7 +70,8 @@ class Progress:
         epoch: Epochs of it that are done.
         best: Smallest validation error of the stage; None before the first.
         since_best: Epochs since then.
-        curves: One row per epoch: stage, epoch, loss, validation error, seconds.
+        curves: One row per epoch: stage, epoch, loss, validation error, and how long it took:
+            seconds, and core_seconds of the processor.
     """
 
     stage: int = 0
@@ -243,7 +244,7 @@ class TrainingLoop:
         while progress.epoch < stage.epochs:
             if self.patience and progress.since_best >= self.patience:
                 break
-            started = time.monotonic()
+            started, busy = time.monotonic(), time.process_time()
             loss = self._epoch(stage, optimiser, random)
             error = self._validate(stage)
             progress.epoch += 1
@@ -253,7 +254,11 @@ class TrainingLoop:
                     progress.best, progress.since_best = error, 0
                     best = self._weights()
             row = {'stage': stage.name, 'epoch': progress.epoch, 'loss': loss, 'validation': error}
-            progress.curves.append(row | {'seconds': round(time.monotonic() - started, 2)})
+            took = {
+                'seconds': time.monotonic() - started,
+                'core_seconds': time.process_time() - busy,
+            }
+            progress.curves.append(row | {name: round(each, 2) for name, each in took.items()})
             self.report(stage.name, progress.epoch, stage.epochs, loss, error)
             if self.checkpoint is not None and self.processes.leads:
                 self._save(self.checkpoint, best, optimiser, random)

@@ -44,6 +44,7 @@ from mixtac_learning.paper.segments import (
     frame_batch,
     run_samples,
 )
+from mixtac_learning.train.config import check_settings
 from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
@@ -104,6 +105,15 @@ class PaperTraining:
     mirror: bool = False
     mixed: bool = True
     patience: int = 50
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: One is too small.
+        """
+        least = {'frame_batch': 1, 'cycles': 1, 'group_trials': 1, 'event_batch': 2}
+        check_settings(self, least)
 
 
 @dataclass(eq=False)

@@ -17,6 +17,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.weights import (
     Model,
@@ -193,7 +194,7 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
 
     Args:
         folder: Made if need be.
-        curves: One row per epoch: stage, epoch, loss, validation, seconds.
+        curves: As in `mixtac_learning.train.loop.Progress`.
     """
     from matplotlib.figure import Figure
 
@@ -263,6 +264,12 @@ def train_model(
     started, busy = time.monotonic(), time.process_time()
     together = processes or Processes()
     device = chosen_device(config.device)
+    own_epochs = 0
+
+    def count(*row: Any) -> None:  # noqa: ANN401
+        nonlocal own_epochs
+        own_epochs += 1
+        report(*row)
 
     def make_loop(*arguments: Any, **settings: Any) -> TrainingLoop:  # noqa: ANN401
         checkpoint = None if folder is None else folder / CHECKPOINT
@@ -270,7 +277,7 @@ def train_model(
         text = f'{config.fingerprint()} {names} {together.world}'
         digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
         return TrainingLoop(
-            *arguments, checkpoint=checkpoint, fingerprint=digest, report=report, **settings
+            *arguments, checkpoint=checkpoint, fingerprint=digest, report=count, **settings
         )
 
     with_card: Callable[[ModelCard], Model]
@@ -304,9 +311,12 @@ def train_model(
             make_loop=make_loop,
         )
         with_card = partial(paper_model_of, paper_network)
+    # What the epochs took that were done before an interruption counts as well.
+    before = curves[: len(curves) - own_epochs]
+    wall_s, core_s = (sum(row[name] for row in before) for name in ('seconds', 'core_seconds'))
     training = provenance(config, data, asdict(settings)) | {
-        'minutes': round((time.monotonic() - started) / 60, 1),
-        'core_minutes': round((time.process_time() - busy) / 60, 2),
+        'minutes': round((wall_s + time.monotonic() - started) / 60, 1),
+        'core_minutes': round((core_s + time.process_time() - busy) / 60, 2),
         'processes': together.world,
     }
     if folder is not None and together.leads:
@@ -341,7 +351,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         json: Write the figures there as well; None for nowhere.
 
     Raises:
-        MixtacError: As `train_model`.
+        MixtacError: As `train_model`, or a file cannot be written.
     """
     processes = Processes.join()
     console = Console(quiet=not processes.leads)
@@ -373,7 +383,13 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         if not processes.leads:
             return
         show_skipped(console, trained.skipped)
-        metrics = judge_trained(config, trained)
+        # The weights first: training took its time, and not every model can be judged.
+        save_model(Path(config.out), trained.model)
+        metrics: dict[str, Any] = {}
+        try:
+            metrics = judge_trained(config, trained)
+        except MixtacError as error:
+            console.print(f'[yellow]not judged[/yellow]: {error}', highlight=False)
         for title, figures in metrics.items():
             show_figures(console, title.replace('_', ' '), figures)
         card = ModelCard(trained.model.card.training, metrics)
@@ -403,19 +419,23 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     Returns:
         Figures by profile, of fresh days of sensors that were trained on and of sensors that were
         not; nothing for bags, whose test trials `mixtac evaluate` judges.
+
+    Raises:
+        MixtacError: The model gives no estimate, or sees no press.
     """
     data = config.data.simulated
     if data is None or config.judged < 1:
         return {}
     preset = data.presets[0]
     origins = [source.origin for source in trained.sources]
-    # By another preset the same seed is another sensor.
-    known = sorted({each['device_seed'] for each in origins if each['preset'] == preset})
+    # By another preset the same seed is another sensor; bags need not tell either.
+    known = sorted({each['device_seed'] for each in origins if each.get('preset') == preset})
     most = -(-config.judged // 2)
     seen = known[:: max(len(known) // most, 1)][:most]
     estimator = trial_estimator(trained.model)
-    unseen = unseen_devices(config.judged, 0)
+    plan = {'seen_devices': (seen, 0), 'unseen_devices': (unseen_devices(config.judged, 0), 1)}
     return {
-        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, preset)[1],
-        'unseen_devices': judge_devices(estimator, unseen, EVALUATION_SECONDS, 1, preset)[1],
+        name: judge_devices(estimator, devices, EVALUATION_SECONDS, seed, preset)[1]
+        for name, (devices, seed) in plan.items()
+        if devices
     }

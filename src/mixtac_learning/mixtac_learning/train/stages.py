@@ -50,7 +50,7 @@ from mixtac_learning.train.frame_stage import (
     mean_error,
     shuffled,
 )
-from mixtac_learning.train.loop import Stage, TrainingLoop
+from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 
@@ -456,13 +456,19 @@ def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
     return torch.from_numpy(out)
 
 
+def tells_across(groups: SequenceGroups) -> bool:
+    """Return whether the force across the normal is known anywhere in the trials."""
+    loaded = (groups.load(index) for index in range(len(groups)))
+    return any(bool(torch.isfinite(each.across[each.valid]).any()) for each in loaded)
+
+
 @torch.no_grad()
 def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
     """Set floor and shares of the deviations of sideways force and torsion (`ShearHead`).
 
     Args:
         network: With the head.
-        groups: Trials that were not trained on.
+        groups: Trials that were not trained on, of which some tell the force across the normal.
     """
     from scipy.optimize import nnls
 
@@ -503,9 +509,15 @@ def train_fger(
         make_loop: Makes the loop, with the checkpoint and the report of the run.
 
     Raises:
-        TrainingError: As `TrainingLoop.run`.
+        TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
     """
     processes = processes or Processes()
+    if config.shear and not processes.mean(torch.tensor(float(tells_across(groups)))):
+        raise TrainingError(
+            'network.shear is set, but the sideways force of no trial is known: only simulated'
+            ' trials tell it',
+            remedy='set network.shear to false, or name simulated trials as well',
+        )
     torch.manual_seed(settings.seed)
     model = NetworkWithGains(config, groups.devices)
     model.fit_scales(groups.load(0))
@@ -531,6 +543,7 @@ def train_fger(
         # Errors of trials that were trained on are too small to calibrate by.
         calibrate_deviation(network, collect(network, checked or groups))
     if config.shear:
-        calibrate_shear(network, checked or groups)
+        told = checked is not None and tells_across(checked)
+        calibrate_shear(network, checked if checked is not None and told else groups)
     processes.average_buffers(network)
     return network.cpu(), loop.progress.curves

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame
+from mixtac_events.sequence import JUMP_US
 from mixtac_learning.trials.trial import AcrossLabel, DatasetError, ForceLabel, TrialArrays
 from mixtac_node.topics import REFERENCE
 
@@ -235,7 +236,7 @@ class BagSource:
             RecordingError: The bag is damaged or holds no events and frames.
             DatasetError: It has no frames.
         """
-        events, frames = _camera(self.path)
+        events, frames, gaps = _camera(self.path)
         if not frames:
             raise DatasetError(f'{self.path} holds no frames: record image_raw as well')
         return TrialArrays(
@@ -247,23 +248,29 @@ class BagSource:
             truth=None,
             reference=None,
             origin=self.origin,
+            gaps_us=gaps,
         )
 
 
-def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]]]:
-    """Return events, and frames with their arrival on the camera clock [us]."""
+def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], list[tuple[int, int]]]:
+    """Return events, frames with their arrival, and gaps between packets [us, camera clock]."""
     from mixtac_recordings.camera_stream import BagRecording
     from mixtac_recordings.recording import NONE, Selection
 
     recording = BagRecording(path, Selection(imu=NONE))
     parts: list[Events] = []
     frames: list[tuple[Frame, int]] = []
-    latest_us = 0
+    gaps: list[tuple[int, int]] = []
+    latest_us = missing = 0
     try:
         for piece in recording.pieces(recording.info.start_us):
             if len(piece.events):
                 parts.append(piece.events)
             if piece.advances:
+                lost, missing = missing, recording.counters.packets_missing
+                hole_us = piece.start_us - latest_us if latest_us else 0
+                if hole_us > (0 if lost < missing else JUMP_US):
+                    gaps.append((latest_us, piece.start_us))
                 latest_us = max(latest_us, piece.until_us)
             # Received after the packets that precede it in the bag, and never before its readout.
             frames += [
@@ -276,7 +283,7 @@ def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]]]:
     events = Events.concatenate(parts)
     if (np.diff(events.t) < 0).any():
         raise DatasetError(f'{path}: the camera clock runs backwards: cut the bag at its reset')
-    return events, frames
+    return events, frames, gaps
 
 
 def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:

@@ -70,7 +70,8 @@ def make_sample(
 ) -> Sample:
     """Compute the features of a trial, with frames available from their arrival on.
 
-    The first `FgerConfig.reference_frames` frames must be without contact.
+    The first `FgerConfig.reference_frames` frames must be without contact. Frames whose exposure
+    the label does not cover are left out.
 
     Args:
         config: Network configuration.
@@ -84,37 +85,42 @@ def make_sample(
     """
     kept = config.reference_frames
     width = config.window_us
-    if len(trial.frames) <= kept or label.t_us[-1] < trial.arrival_us[kept - 1] + width:
+    begin_us, end_us = trial.exposure_start_us, trial.exposure_end_us
+    told = np.flatnonzero((begin_us >= label.t_us[0]) & (end_us <= label.t_us[-1]))
+    told = told[told >= kept - 1]
+    few = len(trial.frames) <= kept or not len(told)
+    if few or label.t_us[-1] < trial.arrival_us[told[0]] + width:
         raise DatasetError(
             f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
             ' a label that lasts beyond them'
         )
-    forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
+    forces = label.mean(begin_us, end_us)
     contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
     if np.abs(forces[:kept]).max() > contact_n:
         raise DatasetError(
             f'trial {origin} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
             ' frames must be without contact'
         )
-    ends = window_ends(trial, label, width, int(trial.arrival_us[kept - 1]))
-    slots = frame_arrivals(trial.arrival_us, ends, kept - 1)
-    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    first = int(told[0])
+    ends = window_ends(trial, label, width, int(trial.arrival_us[first]))
+    slots = frame_arrivals(trial.arrival_us, ends, first)
+    middle = (begin_us + end_us) // 2
     lags = [
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
         for end, slot in zip(ends, slots, strict=True)
     ]
-    inputs, moments, features = _features(config, trial, ends, slots)
+    inputs, moments, features = _features(config, trial, ends, slots, told)
     return Sample(
         window_end_us=ends,
         event_features=features,
         force=label.at(ends),
         across=_across(trial, ends),
-        slots=np.where(slots >= 0, slots - (kept - 1), -1),
+        slots=np.where(slots >= 0, slots - first, -1),
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
         frame_moments=moments,
-        frame_force=forces[kept - 1 :],
-        frame_across=_across(trial, middle[kept - 1 :]),
+        frame_force=forces[told],
+        frame_across=_across(trial, middle[told]),
         origin=origin,
     )
 
@@ -131,18 +137,18 @@ def _features(
     trial: TrialArrays,
     ends: NDArray[np.int64],
     slots: NDArray[np.int64],
+    frames: NDArray[np.int64],
 ) -> tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float16]]:
-    """Return inputs and moments of frames from the reference on, and the event features."""
+    """Return inputs and moments of some frames, and the event features."""
     preparation, window = FramePreparation(config), WindowFeatures(config)
     kept = config.reference_frames
     first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
     reference = mean_contrast([c.coarse for c in first])
-    count = len(trial.frames) - (kept - 1)
     channels = len(config.frame_channels)
-    inputs = np.empty((count, channels, *config.frame_shape), STORED)
+    inputs = np.empty((len(frames), channels, *config.frame_shape), STORED)
     moments = []
-    for index in range(count):
-        contrast = preparation.contrast(trial.frames[index + kept - 1])
+    for index, frame in enumerate(frames):
+        contrast = preparation.contrast(trial.frames[frame])
         inputs[index] = preparation.network_input(contrast, reference)
         moments.append(preparation.moments())
     out = np.zeros(window.shape, np.float32)
@@ -238,7 +244,7 @@ class FgerRecipe:
         """Return what changes a sample."""
         fields = self.config.to_dict()
         kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 5', 'label': self.label} | kept
+        return {'kind': 'fger 6', 'label': self.label} | kept
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it, whole or not at all.

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -101,6 +101,7 @@ class TrialArrays:
         reference: Normal force that the reference sensor measured; None without one.
         across: True force across the normal; None if unknown.
         origin: Where it came from: seeds, profile, file.
+        gaps_us: Stretches of which event packets were lost, from and to [us].
     """
 
     events: Events
@@ -112,6 +113,7 @@ class TrialArrays:
     reference: ForceLabel | None
     across: AcrossLabel | None = None
     origin: dict[str, Any] = field(default_factory=dict)
+    gaps_us: Sequence[tuple[int, int]] = ()
 
     @property
     def profile(self) -> str:
@@ -217,6 +219,12 @@ def frame_arrivals(
         if window < len(ends):
             slots[window] = frame
     return slots
+
+
+def camera_start_us(trial: TrialArrays) -> int:
+    """Return the first event or exposure of a trial [us, camera clock]."""
+    first = int(trial.exposure_start_us[0])
+    return min(first, int(trial.events.t[0])) if len(trial.events) else first
 
 
 def camera_end_us(trial: TrialArrays) -> int:

@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.recurrent_network import EventResponse
+from mixtac_fger.streaming import ForceEstimator
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.train.batches import stack
 from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
+from mixtac_learning.trials.trial import ForceLabel
 
 
 @pytest.fixture
@@ -53,6 +57,35 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
     # Where nothing has moved, the contact of the moments is that of rounding.
     assert deviation == pytest.approx(expected[:, 0].numpy(), rel=5e-4)
     assert deviation.min() > 0
+
+
+def test_nothing_is_estimated_where_packets_were_lost(model, trial):
+    whole = stream(model, trial)
+    begin, end = (int(trial.arrival_us[k]) + 500 for k in (10, 20))
+    holed = stream(model, replace(trial, gaps_us=[(begin, end)]))
+    inside = (whole.t_us > begin) & (whole.t_us <= end)
+    assert inside.any()
+    assert not ((holed.t_us > begin) & (holed.t_us <= end)).any()
+    before = whole.t_us <= begin
+    assert np.array_equal(holed.force[holed.t_us <= begin], whole.force[before])
+    assert holed.t_us[-1] == whole.t_us[-1]
+
+
+def test_forces_from_long_before_the_camera_change_nothing(model, trial, monkeypatch):
+    pushed = []
+
+    class Counting(ForceEstimator):
+        def push_events(self, events, complete_until_us, *, lost_before=False):
+            pushed.append(complete_until_us)
+            return super().push_events(events, complete_until_us, lost_before=lost_before)
+
+    monkeypatch.setattr('mixtac_learning.judge.estimators.ForceEstimator', Counting)
+    label = trial.truth
+    early = ForceLabel(np.append(-3.6e7, label.t_us), np.append(0.0, label.force))
+    found, wanted = stream(model, replace(trial, truth=early)), stream(model, trial)
+    assert np.array_equal(found.force, wanted.force)
+    assert np.array_equal(found.t_us, wanted.t_us)
+    assert min(pushed) > -1_000_000
 
 
 def test_the_time_of_a_force_is_uncertain(model, trial, monkeypatch):

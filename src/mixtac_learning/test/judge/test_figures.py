@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import fast_error, moving_mean, peak_error, rolling_errors
@@ -77,3 +80,14 @@ def test_trials_are_drawn(tmp_path):
     path = tmp_path / 'new' / 'trials.png'
     draw_trials(path, 'a title', [estimate(known, known, p) for p in ('press', 'press', 'static')])
     assert path.read_bytes()[:4] == b'\x89PNG'
+
+
+def test_rolling_errors_are_drawn_over_the_time_of_the_windows(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, 'savefig', lambda figure, *_, **__: drawn.append(figure))
+    known = np.linspace(0, 1, 600)
+    slow = replace(estimate(known, known), t_us=np.arange(600, dtype=np.int64) * 4000)
+    draw_trials(tmp_path / 'trials.png', 'a title', [slow])
+    _, rolling = drawn[0].axes
+    (line,) = rolling.lines
+    assert len(line.get_xdata()) == 4

@@ -17,7 +17,7 @@ from mixtac_learning.judge.report import coverage_figures
 from mixtac_learning.network import DeviationHead, FgerNetwork, arrays_of
 from mixtac_learning.train.batches import MemoryGroups
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.loop import TrainingLoop
+from mixtac_learning.train.loop import TrainingError, TrainingLoop
 from mixtac_learning.train.stages import (
     DeviationStage,
     Errors,
@@ -27,6 +27,7 @@ from mixtac_learning.train.stages import (
     estimate,
     head_of,
     shear_course,
+    train_fger,
 )
 
 STATE = 8
@@ -144,6 +145,22 @@ def test_deviations_of_the_sideways_force_are_those_of_its_errors(config, toy_se
     kept = known.valid
     assert (found[kept] / spread[kept] - 1.0).abs().mean() < 0.05
     torch.testing.assert_close(floor, law[0].expand(3), rtol=0.1, atol=0.0)
+
+
+def test_the_sideways_force_is_not_trained_where_no_trial_tells_it(config, toy_sequences):
+    shear = replace(config, shear=True)
+    brief = TrainingSettings(frame_epochs=1, recurrent_epochs=1, joint_epochs=0, deviation_epochs=1)
+    trained, other = toy_sequences
+    with pytest.raises(TrainingError):
+        train_fger(shear, brief, MemoryGroups(trained))
+    told = replace(
+        trained,
+        across=0.1 * torch.randn(trained.across.shape),
+        frame_across=0.1 * torch.randn(trained.frame_across.shape),
+    )
+    # Held out trials that do not tell it give it no deviation of zero.
+    network, _ = train_fger(shear, brief, MemoryGroups(told), MemoryGroups(other))
+    assert (network.shear.deviation[:, 0] > 0.05).all()
 
 
 def test_a_network_without_the_head_says_so(config):

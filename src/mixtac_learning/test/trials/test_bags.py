@@ -23,6 +23,7 @@ from mixtac_learning.trials.bags import (
 from mixtac_learning.trials.samples import FgerRecipe, load_sample
 from mixtac_learning.trials.store import prepare
 from mixtac_learning.trials.trial import DatasetError
+from mixtac_recordings.bag import BagFile
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import write_trial
@@ -63,6 +64,23 @@ def test_a_bag_holds_what_was_simulated(loaded):
     assert np.abs(loaded.reference.at(times + shift) - trial.truth['fz'][pressed]).mean() < 0.1
     assert loaded.profile == 'press'
     assert loaded.origin['device_seed'] == 41
+
+
+def test_lost_packets_leave_a_gap(folder, loaded, monkeypatch):
+    assert list(loaded.gaps_us) == []
+    whole = BagFile.messages
+
+    def holed(self, *wanted, **options):
+        for topic, received_ns, message in whole(self, *wanted, **options):
+            if not (topic.endswith('/events') and 1000 <= message.seq < 1200):
+                yield topic, received_ns, message
+
+    monkeypatch.setattr(BagFile, 'messages', holed)
+    trial = bag_sources(folder)[0].load()
+    ((begin_us, end_us),) = trial.gaps_us
+    inside = (loaded.events.t >= begin_us) & (loaded.events.t < end_us)
+    assert len(trial.events) == len(loaded.events) - np.count_nonzero(inside)
+    assert end_us - begin_us > 100_000
 
 
 def test_another_description_is_another_content(folder):

@@ -44,6 +44,23 @@ def test_no_event_after_a_window_reaches_it(config, trial):
     assert full.event_features[151:].any()
 
 
+def test_frames_beyond_the_known_force_are_left_out(config, trial):
+    whole, kept = trial.label(), config.reference_frames
+    full = make_sample(config, trial, whole, {})
+    first, last = trial.exposure_start_us[kept + 3], trial.exposure_end_us[-4]
+    inside = (whole.t_us >= first) & (whole.t_us <= last)
+    part = make_sample(config, trial, ForceLabel(whole.t_us[inside], whole.force[inside]), {})
+    at = np.flatnonzero(part.slots >= 0)
+    assert part.slots[at].tolist() == list(range(len(at)))
+    shift = len(full.frame_force) - len(part.frame_force) - 3
+    assert shift >= 4
+    assert part.frame_force == pytest.approx(full.frame_force[shift:-3], abs=1e-6)
+    assert np.array_equal(part.frame_inputs, full.frame_inputs[shift:-3])
+    windows = np.isin(full.window_end_us, part.window_end_us)
+    assert np.array_equal(part.lags, full.lags[windows])
+    assert np.array_equal(part.event_features, full.event_features[windows])
+
+
 def test_labels_are_read_at_window_ends_and_averaged_over_exposures():
     label = ForceLabel(np.array([0.0, 1000.0, 2000.0]), np.array([0.0, 1.0, 1.0]))
     assert label.at(np.array([500, 1500])) == pytest.approx([0.5, 1.0])
