@@ -29,7 +29,7 @@ STUDIES = {
     'contact': f'{STUDY}.contact:contact',
     'models': f'{STUDY}.models:models',
     'event-path': f'{STUDY}.event_path:event_path',
-    'adaptation': f'{STUDY}.models:adaptation',
+    'adaptation': f'{STUDY}.adaptation:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',
 }
 BENCHMARKS = {

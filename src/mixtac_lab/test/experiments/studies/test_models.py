@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from mixtac_lab.experiments.sizes import (
@@ -16,19 +15,14 @@ from mixtac_lab.experiments.sizes import (
     run_config,
 )
 from mixtac_lab.experiments.studies.models import (
-    SPOILED,
     aggregate,
     as_markdown,
-    calibrate_by_weights,
     rows_of,
-    spoiled_weights,
     table_data,
     test_specs,
     unseen_specs,
 )
-from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.run import training_sources
-from mixtac_sim.world.profiles import make_profile
 
 test_specs.__test__ = False
 
@@ -95,21 +89,3 @@ def test_a_session_has_its_own_training():
         other = config('full', model, 0).training
         assert trained == other | sizes.session_training[kind]
         assert trained != other
-
-
-def test_known_weights_give_the_gain_within_their_error():
-    t_us = np.arange(300_000, 18_000_001, 2000)
-    true = np.zeros(len(t_us))
-    for segment in make_profile('weights', 3, 18.0).segments:
-        inside = (t_us > 1e6 * segment.start_s) & (t_us <= 1e6 * segment.end_s)
-        true[inside] = np.interp(
-            1e-6 * t_us[inside] - segment.start_s, segment.times_s, segment.values
-        )
-    noise = np.random.default_rng(1).normal(0.0, 0.004, len(t_us))
-    estimate = TrialEstimate('w', 'weights', 'd', t_us, true / 1.4 + noise, true, None)
-    # The 100 g weight, wrong by 1 g at most, counts most.
-    assert calibrate_by_weights(estimate, 5).gain == pytest.approx(1.4, rel=0.02)
-    for seed in range(8):
-        found = spoiled_weights(estimate, seed)
-        assert set(found) == set(SPOILED)
-        assert 'accepted' not in found.values()
