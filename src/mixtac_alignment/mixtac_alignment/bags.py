@@ -372,7 +372,8 @@ def read_fit(bag: Path) -> ClockFit:
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:
     """Copy a bag with the reference force stamped on the camera clock; return its samples.
 
-    The fit itself becomes the first message of `clock_fit`.
+    The first message of `clock_fit` is the map of the copy, from the camera clock to itself, with
+    the uncertainty of the fit: a reader maps the stamps by it as those of any bag.
 
     Args:
         bag: Folder of the bag.
@@ -398,7 +399,8 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
             typestore=types,
             offered_qos_profiles=(offered_qos(latched=True),),
         )
-        writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
+        own = _fit_message(types, _of_one_clock(fit), source.start_ns)
+        writer.write(fit_handle, source.start_ns, own)
         raw = copied.keys() - {reference}
         for topic, received_ns, message in source.messages(*copied, raw=raw):
             data = message
@@ -411,6 +413,16 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 changed += 1
             writer.write(handles[topic], received_ns, data)
     return changed
+
+
+def _of_one_clock(fit: ClockFit) -> ClockFit:
+    """Return the map of a bag whose reference has been brought to the camera clock by a fit."""
+    anchors = tuple(
+        replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
+        for anchor in fit.anchors
+    )
+    moved = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
+    return moved.with_map(1.0, 0.0, fit.covariance)
 
 
 def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
