@@ -209,7 +209,7 @@ def fit_clock(
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
 
     The covariance follows from the anchors' own standard deviations; where more than two anchors
-    scatter by more than these, it grows with the scatter.
+    scatter by more than these, it grows with the scatter, and with what clocks stray from a line.
 
     Args:
         anchors: At least two, any order.
@@ -246,6 +246,7 @@ def fit_clock(
     residuals = y - (a * x + b)
     if len(ordered) > 2:
         covariance *= max(1.0, float(np.sum((residuals / std) ** 2)) / (len(ordered) - 2))
+        covariance[1, 1] += _stray_variance(residuals)
     covariance[1, 1] += common_std_s**2
     fit = ClockFit(
         a=a,
@@ -283,6 +284,16 @@ def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
         b=fit.b - float(gain[1]) * drift,
         covariance=fit.covariance - np.outer(gain, fit.covariance[0]),
     )
+
+
+def _stray_variance(residuals: NDArray[np.float64]) -> float:
+    """Return the variance [s^2] that neighbours share beyond chance: more anchors do not lower it.
+
+    The drift changes with the temperature, so that hours are no straight line.
+    """
+    shared = float(np.mean(residuals[1:] * residuals[:-1]))
+    chance = 2.0 * float(np.mean(residuals**2)) / float(np.sqrt(len(residuals)))
+    return max(shared - chance, 0.0)
 
 
 def _solve(
