@@ -135,8 +135,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             return
         values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
         start_us, end_us = map(stamp_to_us, (exposure.exposure_start, exposure.exposure_end))
-        if start_us < end_us:
-            self._frames.push(start_us, end_us, values)
+        self._frames.push(start_us, end_us, values)
 
     def _on_edge(self, message: ExternalEdge) -> None:
         self._keep_edge(self._camera_edges, stamp_to_ns(message.header.stamp))

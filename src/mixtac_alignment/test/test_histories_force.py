@@ -50,3 +50,15 @@ def test_a_small_step_back_for_good_is_a_restart() -> None:
     assert taken == [False] * MOST_REFUSED + [True] * (30 - MOST_REFUSED)
     assert history.restarts == 1
     assert history.snapshot('x')[1][0] == MOST_REFUSED
+
+
+def test_stamps_of_zero_and_coarse_stamps_are_no_restart() -> None:
+    history = ForceHistory(span_s=10.0, capacity=100)
+    for tick in range(1, 5):
+        taken = [history.push(5_000_000_000 + 16_000_000 * tick, (1.0, 2.0, 3.0))]
+        taken += [
+            history.push(5_000_000_000 + 16_000_000 * tick, (1.0, 2.0, 3.0)) for _ in range(112)
+        ]
+        assert taken == [True] + [False] * 112
+        assert not history.push(0, (1.0, 2.0, 3.0))
+    assert (len(history.snapshot('x')[0]), history.restarts) == (4, 0)
