@@ -66,7 +66,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._camera_edges: Edges = deque()
         self._reference_edges: Edges = deque()
         self._fit: ClockFit | None = None
-        self._restarts = 0
+        self._restarts = self._driver_restarts = 0
         self._packets = SequenceCounter()
         self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
@@ -103,11 +103,24 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._undecodable += 1
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
+        before = self._packets.restarts
         if self._packets.update(message.seq):
             self._rate.mark_lost(packet.start_us)
+        if self._packets.restarts > before:
+            self._forget_camera()
         self._rate.push(packet.events.t, packet.complete_until)
         if self._settings.use_frames:
             self._history.push(by_cell(packet.events, message.width, message.height))
+
+    def _forget_camera(self) -> None:
+        """Begin anew: another run of the driver has another origin of the camera clock."""
+        p = self._settings
+        self._driver_restarts += 1 + self._rate.restarts
+        self._rate = EventRateHistory(p.history)
+        self._history = EventHistory(p.history)
+        self._frames = FrameHistory(p.history)
+        self._camera_edges.clear()
+        self._reference_edges.clear()
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -177,7 +190,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     @property
     def _clock_restarts(self) -> int:
-        return self._rate.restarts + self._force.restarts
+        return self._driver_restarts + self._rate.restarts + self._force.restarts
 
     @property
     def _stale(self) -> bool:
