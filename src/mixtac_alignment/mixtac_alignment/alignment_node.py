@@ -208,6 +208,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             'undecodable packets': self._undecodable,
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
+            'reference samples dropped: reference_rate is too low': self._force.dropped,
             'frames and exposure messages without a match': self._unmatched(),
             'events dropped: history buffer full': self._history.dropped,
             'external edges': len(self._camera_edges),

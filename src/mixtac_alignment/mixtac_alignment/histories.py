@@ -359,6 +359,7 @@ class ForceHistory:
         out_of_order: Samples dropped because they had no stamp (0), it did not increase, or their
             force was no number.
         restarts: Times the reference clock jumped back: by more than a second, or for good.
+        dropped: Samples that were dropped to make room.
 
     Args:
         span_s: Time to remember [s].
@@ -368,6 +369,7 @@ class ForceHistory:
     def __init__(self, span_s: float, capacity: int) -> None:
         self.out_of_order = 0
         self.restarts = 0
+        self.dropped = 0
         self._span_ns = round(span_s * 1e9)
         self._t_ns = np.zeros(capacity, np.int64)
         self._force = np.zeros((capacity, 3))
@@ -392,6 +394,8 @@ class ForceHistory:
             self._count = 0
         self._refused = 0
         slot = self._count % len(self._t_ns)
+        if self._count >= len(self._t_ns) and self._t_ns[slot] >= t_ns - self._span_ns:
+            self.dropped += 1
         self._t_ns[slot] = t_ns
         self._force[slot] = force
         self._count += 1

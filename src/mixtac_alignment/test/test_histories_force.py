@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from mixtac_alignment.histories import MOST_REFUSED, ForceHistory
 
+SPAN_NS = 2_000_000_000
+
 
 @given(
     steps=st.lists(st.integers(-3, 300_000_000), max_size=MOST_REFUSED + 1),
@@ -26,10 +28,12 @@ def test_the_ring_holds_the_latest_increasing_samples(steps: list[int], capacity
         if new:
             kept.append(now)
     t, force = history.snapshot('z')
-    recent = [k for k in kept[-capacity:] if k >= kept[-1] - 2_000_000_000]
+    recent = [k for k in kept[-capacity:] if k >= kept[-1] - SPAN_NS]
     assert np.array_equal(t, np.array(recent, np.int64) / 1e9)
     assert np.array_equal(force, t)
     assert history.out_of_order == len(steps) - len(kept)
+    full = [new for old, new in zip(kept, kept[capacity:], strict=False) if old >= new - SPAN_NS]
+    assert history.dropped == len(full)
 
 
 def test_a_restarted_clock_starts_over_and_no_number_is_dropped() -> None:
