@@ -352,12 +352,16 @@ MOST_REFUSED: Final = 20
 """Samples in a row with an earlier stamp; from then on the clock was set back."""
 
 
+FINEST_NS: Final = 1000
+"""Stamps that are nearer to each other than this are one: seconds in float64 hold no less."""
+
+
 class ForceHistory:
     """A ring of force samples with increasing stamps.
 
     Attributes:
-        out_of_order: Samples dropped because they had no stamp (0), it did not increase, or their
-            force was no number.
+        out_of_order: Samples dropped because they had no stamp (0), it did not increase by a
+            microsecond, or their force was no number.
         restarts: Times the reference clock jumped back: by more than a second, or for good.
         dropped: Samples that were dropped to make room.
 
@@ -382,11 +386,13 @@ class ForceHistory:
             t_ns: Stamp, reference clock [ns].
             force: Force (x, y, z) [N].
         """
-        late_ns = self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -1
+        late_ns = (
+            self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -FINEST_NS
+        )
         sound = t_ns != 0 and bool(np.isfinite(force).all())
         self._refused += sound and late_ns > 0
         restarted = late_ns > 1000 * RESTART_US or self._refused > MOST_REFUSED
-        if not sound or (late_ns >= 0 and not restarted):
+        if not sound or (late_ns > -FINEST_NS and not restarted):
             self.out_of_order += 1
             return False
         if late_ns >= 0:

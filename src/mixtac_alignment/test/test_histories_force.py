@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.histories import MOST_REFUSED, ForceHistory
+from mixtac_alignment.histories import FINEST_NS, MOST_REFUSED, ForceHistory
 
 SPAN_NS = 2_000_000_000
 
@@ -23,7 +23,7 @@ def test_the_ring_holds_the_latest_increasing_samples(steps: list[int], capacity
     now = 1_700_000_000_000_000_000
     for i, step in enumerate(steps):
         now += step
-        new = not kept or now > kept[-1]
+        new = not kept or now >= kept[-1] + FINEST_NS
         assert history.push(now, (float(i), 0.0, now / 1e9)) == new
         if new:
             kept.append(now)
@@ -50,7 +50,7 @@ def test_a_restarted_clock_starts_over_and_no_number_is_dropped() -> None:
 def test_a_small_step_back_for_good_is_a_restart() -> None:
     history = ForceHistory(span_s=10.0, capacity=100)
     history.push(5_000_000_000, (1.0, 2.0, 3.0))
-    taken = [history.push(4_400_000_000 + k, (float(k), 0.0, 0.0)) for k in range(30)]
+    taken = [history.push(4_400_000_000 + 1000 * k, (float(k), 0.0, 0.0)) for k in range(30)]
     assert taken == [False] * MOST_REFUSED + [True] * (30 - MOST_REFUSED)
     assert history.restarts == 1
     assert history.snapshot('x')[1][0] == MOST_REFUSED
@@ -66,3 +66,11 @@ def test_stamps_of_zero_and_coarse_stamps_are_no_restart() -> None:
         assert taken == [True] + [False] * 112
         assert not history.push(0, (1.0, 2.0, 3.0))
     assert (len(history.snapshot('x')[0]), history.restarts) == (4, 0)
+
+
+def test_stamps_that_are_one_in_seconds_are_one_sample() -> None:
+    history = ForceHistory(span_s=10.0, capacity=100)
+    first_ns = 1_700_000_000_000_000_000
+    taken = [history.push(first_ns + 100 * k, (1.0, 2.0, 3.0)) for k in range(21)]
+    assert taken == ([True] + [False] * 9) * 2 + [True]
+    assert np.all(np.diff(history.snapshot('x')[0]) > 0.0)
