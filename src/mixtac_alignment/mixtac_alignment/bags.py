@@ -88,7 +88,8 @@ class PacketCollector:
 
         Raises:
             CodecError: It is cut off, or its events are damaged.
-            GapError: The camera clock went back, or ahead by more than is kept.
+            GapError: The camera clock went back, or ahead by more than is kept, or its driver was
+                started anew.
         """
         message = read_packet(data)
         packet = self._decoder.decode(message)
@@ -105,6 +106,12 @@ class PacketCollector:
         self._size, self._newest_us = size, packet.complete_until
         if self._packets.update(message.seq):
             self._lost.append((self._end, start_us // BIN_US + 1))
+        if self._packets.restarts:
+            raise GapError(
+                f'packet numbers jump to {message.seq}: the driver was started anew while the bag '
+                'was recorded, and its clock with it',
+                remedy='record again',
+            )
         if self._first is None:
             self._first = start_us // BIN_US
         self._end = max(self._end, packet.complete_until // BIN_US)
@@ -172,7 +179,7 @@ def read_recording(
     Raises:
         RecordingError: No bag, or a topic is missing.
         CodecError: Damaged packets.
-        GapError: A clock went back, or the camera's ahead by hours.
+        GapError: A clock went back or began anew, or the camera's went ahead by hours.
     """
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
     events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)

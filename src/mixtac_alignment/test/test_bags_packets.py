@@ -88,3 +88,11 @@ def test_a_camera_clock_that_jumps_is_refused(jump_us: int) -> None:
     collector.add(serialised(some_events(rng, 5_400_000, 10), 5_401_000, 1))
     with pytest.raises(GapError):
         collector.add(serialised(some_events(rng, 5_401_000 + jump_us, 10), 5_402_000 + jump_us, 2))
+
+
+def test_a_driver_that_was_started_anew_is_refused() -> None:
+    rng = np.random.default_rng(6)
+    collector = PacketCollector(60.0)
+    collector.add(serialised(some_events(rng, 5_000_000, 10), 5_001_000, 41))
+    with pytest.raises(GapError):
+        collector.add(serialised(some_events(rng, 5_071_000, 10), 5_072_000, 0))
