@@ -66,7 +66,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._camera_edges: Edges = deque()
         self._reference_edges: Edges = deque()
         self._fit: ClockFit | None = None
-        self._restarts = 0
+        self._restarts = self._driver_restarts = 0
         self._packets = SequenceCounter()
         self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
@@ -103,11 +103,24 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._undecodable += 1
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
+        before = self._packets.restarts
         if self._packets.update(message.seq):
             self._rate.mark_lost(packet.start_us)
+        if self._packets.restarts > before:
+            self._forget_camera()
         self._rate.push(packet.events.t, packet.complete_until)
         if self._settings.use_frames:
             self._history.push(by_cell(packet.events, message.width, message.height))
+
+    def _forget_camera(self) -> None:
+        """Begin anew: another run of the driver has another origin of the camera clock."""
+        p = self._settings
+        self._driver_restarts += 1 + self._rate.restarts
+        self._rate = EventRateHistory(p.history)
+        self._history = EventHistory(p.history)
+        self._frames = FrameHistory(p.history)
+        self._camera_edges.clear()
+        self._reference_edges.clear()
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -135,8 +148,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             return
         values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
         start_us, end_us = map(stamp_to_us, (exposure.exposure_start, exposure.exposure_end))
-        if start_us < end_us:
-            self._frames.push(start_us, end_us, values)
+        self._frames.push(start_us, end_us, values)
 
     def _on_edge(self, message: ExternalEdge) -> None:
         self._keep_edge(self._camera_edges, stamp_to_ns(message.header.stamp))
@@ -178,7 +190,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     @property
     def _clock_restarts(self) -> int:
-        return self._rate.restarts + self._force.restarts
+        return self._driver_restarts + self._rate.restarts + self._force.restarts
 
     @property
     def _stale(self) -> bool:
@@ -196,6 +208,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             'undecodable packets': self._undecodable,
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
+            'reference samples dropped: reference_rate is too low': self._force.dropped,
             'frames and exposure messages without a match': self._unmatched(),
             'events dropped: history buffer full': self._history.dropped,
             'external edges': len(self._camera_edges),

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mixtac_alignment.align import Recording, align, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
-from mixtac_alignment.errors import AlignmentError
+from mixtac_alignment.errors import AlignmentError, GapError
 from mixtac_alignment.gel_lag import GelLag
 from mixtac_alignment.histories import (
     BIN_US,
@@ -35,6 +35,7 @@ from mixtac_alignment.histories import (
     CellEvents,
     EventCounts,
     EventHistory,
+    ForceHistory,
     FrameHistory,
     by_cell,
     reduce_frame,
@@ -57,6 +58,10 @@ from mixtac_recordings.recording import RecordingError
 
 BATCH: Final = 256
 """Packets that are reduced at once."""
+
+
+LONGEST_S: Final = 3600.0
+"""Longest span of frames and events that is kept, and longest hole in the events [s]."""
 
 
 class PacketCollector:
@@ -83,16 +88,30 @@ class PacketCollector:
 
         Raises:
             CodecError: It is cut off, or its events are damaged.
+            GapError: The camera clock went back, or ahead by more than is kept, or its driver was
+                started anew.
         """
         message = read_packet(data)
         packet = self._decoder.decode(message)
         start_us = packet.start_us
         size = (message.width, message.height)
-        if size != self._size or start_us < self._newest_us - RESTART_US:
+        ahead_us = start_us - self._newest_us if self._first is not None else 0
+        if not -RESTART_US <= ahead_us <= 1e6 * LONGEST_S:
+            raise GapError(
+                f'the camera clock jumps by {ahead_us / 1e6:+.1f} s',
+                remedy='record again, and do not restart the driver or set the clock of the host',
+            )
+        if size != self._size:
             self._reduce()
         self._size, self._newest_us = size, packet.complete_until
         if self._packets.update(message.seq):
             self._lost.append((self._end, start_us // BIN_US + 1))
+        if self._packets.restarts:
+            raise GapError(
+                f'packet numbers jump to {message.seq}: the driver was started anew while the bag '
+                'was recorded, and its clock with it',
+                remedy='record again',
+            )
         if self._first is None:
             self._first = start_us // BIN_US
         self._end = max(self._end, packet.complete_until // BIN_US)
@@ -138,8 +157,6 @@ class PacketCollector:
         self._parts.append((low, np.bincount(bins - low)))
 
 
-LONGEST_S: Final = 3600.0
-"""Longest span of frames and events kept [s]."""
 EMPTY: Final = EventCounts(0, BIN_US, np.zeros(1, np.int64))
 _NS: Final = 1_000_000_000
 
@@ -162,6 +179,7 @@ def read_recording(
     Raises:
         RecordingError: No bag, or a topic is missing.
         CodecError: Damaged packets.
+        GapError: A clock went back or began anew, or the camera's went ahead by hours.
     """
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
     events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
@@ -172,8 +190,7 @@ def read_recording(
     edges: list[int] = []
     reference_edges: list[float] = []
     arrived: tuple[list[int], list[int]] = ([], [])
-    stamps: list[int] = []
-    force: list[float] = []
+    samples: list[tuple[int, float]] = []
     with BagFile(path) as bag:
         more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
@@ -181,8 +198,7 @@ def read_recording(
             if topic == events:
                 packets.add(message)
             elif topic == reference:
-                stamps.append(stamp_to_ns(message.header.stamp))
-                force.append(topics.normal_force(message))
+                samples.append((stamp_to_ns(message.header.stamp), topics.normal_force(message)))
             elif topic in {image, exposure}:
                 stamp = stamp_to_ns(message.header.stamp)
                 if topic == image:
@@ -198,17 +214,34 @@ def read_recording(
             else:
                 reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
                 arrived[1].append(received_ns)
+    force_t_s, force = _force(samples, f'{path} topic {reference}')
     return Recording(
         counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
         events=packets.events(),
         frames=frames.snapshot(),
-        force_t_s=np.array(stamps, np.int64) / 1e9,
-        force=np.array(force),
+        force_t_s=force_t_s,
+        force=force,
         edges_us=np.array(edges, np.int64),
         reference_edges_s=np.array(reference_edges),
         damage=bag.damage,
         all_edges=arrived_together(*(np.array(each, np.int64) for each in arrived)),
     )
+
+
+def _force(
+    samples: list[tuple[int, float]], where: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the samples that the node would keep: times [s] and normal forces [N]."""
+    # Counts and force are kept however long the bag is.
+    history = ForceHistory(1e9, max(len(samples), 1))
+    for stamp_ns, normal in samples:
+        history.push(stamp_ns, (0.0, 0.0, normal))
+    if history.restarts:
+        raise GapError(
+            f'{where}: the clock of the force sensor went back {history.restarts} times',
+            remedy='record again, and do not restart the force sensor between the taps',
+        )
+    return history.snapshot('z')
 
 
 def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
@@ -366,13 +399,17 @@ def read_fit(bag: Path) -> ClockFit:
         raise AlignmentError(f'no clock fit in {path} ({error})', remedy=remedy) from error
     if schema != SCHEMA:
         raise AlignmentError(f'{path} has schema {schema}, not {SCHEMA}', remedy=remedy)
-    return ClockFit.from_fields(content)
+    try:
+        return ClockFit.from_fields(content)
+    except AlignmentError as error:
+        raise AlignmentError(f'{path}: {error}', remedy=remedy) from error
 
 
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:
     """Copy a bag with the reference force stamped on the camera clock; return its samples.
 
-    The fit itself becomes the first message of `clock_fit`.
+    The first message of `clock_fit` is the map of the copy, from the camera clock to itself, with
+    the uncertainty of the fit: a reader maps the stamps by it as those of any bag.
 
     Args:
         bag: Folder of the bag.
@@ -398,7 +435,8 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
             typestore=types,
             offered_qos_profiles=(offered_qos(latched=True),),
         )
-        writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
+        own = _fit_message(types, _of_one_clock(fit), source.start_ns)
+        writer.write(fit_handle, source.start_ns, own)
         raw = copied.keys() - {reference}
         for topic, received_ns, message in source.messages(*copied, raw=raw):
             data = message
@@ -411,6 +449,16 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 changed += 1
             writer.write(handles[topic], received_ns, data)
     return changed
+
+
+def _of_one_clock(fit: ClockFit) -> ClockFit:
+    """Return the map of a bag whose reference has been brought to the camera clock by a fit."""
+    anchors = tuple(
+        replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
+        for anchor in fit.anchors
+    )
+    moved = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
+    return moved.with_map(1.0, 0.0, fit.covariance)
 
 
 def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401

@@ -28,6 +28,8 @@ from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, 
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
+_LARGEST: Final = 2.0**33
+"""Times [s] beyond this are no stamps."""
 _MAP = ('a', 'b', 'camera_epoch', 'reference_epoch')
 
 
@@ -169,9 +171,14 @@ class ClockFit:
         try:
             a, b, camera_s, reference_s = (float(fields[name]) for name in _MAP)
             covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
+            residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
+            pairs = [fields['camera_anchors'], fields['reference_anchors']]
+            at = np.array(pairs, np.float64).reshape(2, -1)
+            method = str(fields['method'])
         except (KeyError, TypeError, ValueError) as error:
-            raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
-        if not a > 0.0 or not np.isfinite([a, b, camera_s, reference_s, *covariance.flat]).all():
+            raise AlignmentError(f'damaged clock fit: {error!r}', remedy='fit again') from error
+        numbers = np.hstack([a, b, camera_s, reference_s, covariance.ravel(), residuals_s, *at])
+        if not a > 0.0 or not (np.abs(numbers) < _LARGEST).all():
             raise AlignmentError(
                 f'clock fit with a = {a}, b = {b} is no map of clocks', remedy='fit again'
             )
@@ -182,13 +189,12 @@ class ClockFit:
             camera_epoch_us=round(camera_s * 1e6),
             reference_epoch_s=reference_s,
             anchors=(),
-            residuals_s=np.array(fields['residuals'], np.float64),
-            method=str(fields['method']),
+            residuals_s=residuals_s,
+            method=method,
         )
-        camera_us = [round(seconds * 1e6) for seconds in fields['camera_anchors']]
         anchors = tuple(
             Anchor(at_us, float(at_s), float(fit.std_at(at_us)))
-            for at_us, at_s in zip(camera_us, fields['reference_anchors'], strict=True)
+            for at_us, at_s in zip(np.rint(1e6 * at[0]).astype(int).tolist(), at[1], strict=True)
         )
         return replace(fit, anchors=anchors)
 
@@ -209,7 +215,7 @@ def fit_clock(
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
 
     The covariance follows from the anchors' own standard deviations; where more than two anchors
-    scatter by more than these, it grows with the scatter.
+    scatter by more than these, it grows with the scatter, and with what clocks stray from a line.
 
     Args:
         anchors: At least two, any order.
@@ -246,6 +252,7 @@ def fit_clock(
     residuals = y - (a * x + b)
     if len(ordered) > 2:
         covariance *= max(1.0, float(np.sum((residuals / std) ** 2)) / (len(ordered) - 2))
+        covariance[1, 1] += _stray_variance(residuals)
     covariance[1, 1] += common_std_s**2
     fit = ClockFit(
         a=a,
@@ -283,6 +290,16 @@ def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
         b=fit.b - float(gain[1]) * drift,
         covariance=fit.covariance - np.outer(gain, fit.covariance[0]),
     )
+
+
+def _stray_variance(residuals: NDArray[np.float64]) -> float:
+    """Return the variance [s^2] that neighbours share beyond chance: more anchors do not lower it.
+
+    The drift changes with the temperature, so that hours are no straight line.
+    """
+    shared = float(np.mean(residuals[1:] * residuals[:-1]))
+    chance = 2.0 * float(np.mean(residuals**2)) / float(np.sqrt(len(residuals)))
+    return max(shared - chance, 0.0)
 
 
 def _solve(

@@ -322,14 +322,15 @@ class FrameHistory:
     def push(self, start_us: int, end_us: int, values: NDArray[np.float32]) -> None:
         """Add a frame; an earlier exposure, or another size, restarts the history.
 
-        An image that is smaller than a cell shows nothing and is left out.
+        An image that is smaller than a cell shows nothing and is left out, and so is one whose
+        exposure has no length: its times are missing.
 
         Args:
             start_us: Start of the exposure, camera clock [us].
             end_us: Its end.
             values: Log brightness, as `reduce_frame` gives it.
         """
-        if not values.size:
+        if not values.size or start_us >= end_us:
             return
         if self._frames:
             before_us, _, before = self._frames[-1]
@@ -348,16 +349,21 @@ class FrameHistory:
 
 
 MOST_REFUSED: Final = 20
-"""Samples in a row without a later stamp; from then on the clock was set back."""
+"""Samples in a row with an earlier stamp; from then on the clock was set back."""
+
+
+FINEST_NS: Final = 1000
+"""Stamps that are nearer to each other than this are one: seconds in float64 hold no less."""
 
 
 class ForceHistory:
     """A ring of force samples with increasing stamps.
 
     Attributes:
-        out_of_order: Samples dropped because their stamp did not increase, or their force was no
-            number.
+        out_of_order: Samples dropped because they had no stamp (0), it did not increase by a
+            microsecond, or their force was no number.
         restarts: Times the reference clock jumped back: by more than a second, or for good.
+        dropped: Samples that were dropped to make room.
 
     Args:
         span_s: Time to remember [s].
@@ -367,6 +373,7 @@ class ForceHistory:
     def __init__(self, span_s: float, capacity: int) -> None:
         self.out_of_order = 0
         self.restarts = 0
+        self.dropped = 0
         self._span_ns = round(span_s * 1e9)
         self._t_ns = np.zeros(capacity, np.int64)
         self._force = np.zeros((capacity, 3))
@@ -379,11 +386,13 @@ class ForceHistory:
             t_ns: Stamp, reference clock [ns].
             force: Force (x, y, z) [N].
         """
-        late_ns = self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -1
-        finite = bool(np.isfinite(force).all())
-        self._refused += finite and late_ns >= 0
+        late_ns = (
+            self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -FINEST_NS
+        )
+        sound = t_ns != 0 and bool(np.isfinite(force).all())
+        self._refused += sound and late_ns > 0
         restarted = late_ns > 1000 * RESTART_US or self._refused > MOST_REFUSED
-        if not finite or (late_ns >= 0 and not restarted):
+        if not sound or (late_ns > -FINEST_NS and not restarted):
             self.out_of_order += 1
             return False
         if late_ns >= 0:
@@ -391,6 +400,8 @@ class ForceHistory:
             self._count = 0
         self._refused = 0
         slot = self._count % len(self._t_ns)
+        if self._count >= len(self._t_ns) and self._t_ns[slot] >= t_ns - self._span_ns:
+            self.dropped += 1
         self._t_ns[slot] = t_ns
         self._force[slot] = force
         self._count += 1

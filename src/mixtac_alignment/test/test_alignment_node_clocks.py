@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
@@ -20,22 +23,25 @@ class Peer:
     """Sends edges and forces, asks for fits and listens to what is aligned."""
 
     def __init__(self, graph: Any) -> None:
+        from event_camera_msgs.msg import EventPacket
         from geometry_msgs.msg import WrenchStamped
         from sensor_msgs.msg import TimeReference
 
         from mixtac_msgs.msg import ClockFit, ExternalEdge
-        from mixtac_node.base_node import QOS_FORCE, QOS_LATCHED
+        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
 
         self.graph = graph
         graph.start('mixtac_alignment.alignment_node', 'use_edges:=true', remap=('__ns:=/mixtac',))
         make = graph.node.create_publisher
         self._edge, self._told, self._wrench = ExternalEdge, TimeReference, WrenchStamped
+        self._packet = EventPacket
+        self._packets = make(EventPacket, '/mixtac/events', QOS_EVENTS)
         self._edges = make(ExternalEdge, '/mixtac/external_edges', QOS_FORCE)
         self._reference = make(TimeReference, '/mixtac/reference_edges', QOS_FORCE)
         self._force = make(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
         self.fits = graph.listen(ClockFit, '/mixtac/clock_fit', QOS_LATCHED)
         self.aligned = graph.listen(WrenchStamped, '/mixtac/reference/wrench', QOS_FORCE)
-        for each in (self._edges, self._reference, self._force):
+        for each in (self._packets, self._edges, self._reference, self._force):
             graph.spin_until(each.get_subscription_count)
 
     def edges(self, times_s: np.ndarray, reference_s: np.ndarray) -> None:
@@ -59,6 +65,15 @@ class Peer:
             message.header.stamp = us_to_stamp(round(1e6 * first_s) + 10_000 * k)
             self._force.publish(message)
             self.graph.executor.spin_once(timeout_sec=0.0)
+
+    def packet(self, number: int, until_s: float) -> None:
+        """Send an empty packet."""
+        packet = encode(Events.empty(), complete_until=round(1e6 * until_s))
+        message = self._packet(
+            width=346, height=260, seq=number, time_base=packet.time_base, encoding=packet.encoding
+        )
+        message.events.frombytes(packet.payload)
+        self._packets.publish(message)
 
     def stamps(self) -> list[float]:
         """Return the stamps of the aligned forces [s]."""
@@ -104,3 +119,29 @@ def test_a_reference_that_starts_anew_is_fitted_anew(node_under_test: Any) -> No
     assert former == sorted(set(former))
     # By the former map the first forces of the new clock would be older than all others.
     assert min(peer.stamps()) >= EPOCH_S + 0.99
+
+
+def test_a_driver_that_starts_anew_ends_the_fit(node_under_test: Any) -> None:
+    peer, rng = Peer(node_under_test), np.random.default_rng(4)
+    times = EPOCH_S + np.cumsum(rng.uniform(0.1, 0.5, 60))
+
+    def fitted() -> bool:
+        peer.packet(1000, EPOCH_S)
+        peer.edges(times, times - EPOCH_S + 5.0)
+        return peer.fit() is not None
+
+    peer.graph.spin_until(fitted)
+
+    def forgotten() -> bool:
+        # Its clock is a moment ahead of where the one before would be.
+        peer.packet(0, EPOCH_S + 0.07)
+        return peer.fit() is None
+
+    peer.graph.spin_until(forgotten)
+    peer.force(6.0)
+    again = times + 0.07
+    peer.edges(again, times - EPOCH_S + 5.0)
+    peer.graph.spin_until(lambda: peer.fit() is not None)
+    peer.force(7.0)
+    peer.graph.spin_until(lambda: peer.aligned)
+    assert peer.stamps()[0] == pytest.approx(EPOCH_S + 2.07, abs=1e-3)

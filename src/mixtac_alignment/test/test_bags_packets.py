@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_alignment.bags import PacketCollector
+from mixtac_alignment.errors import GapError
 from mixtac_alignment.histories import BIN_US
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
@@ -77,3 +78,21 @@ def test_batches_hold_every_event_and_mark_what_was_lost() -> None:
 def test_no_packets_are_an_error_that_names_the_place() -> None:
     with pytest.raises(RecordingError):
         PacketCollector(60.0).counts('here')
+
+
+@pytest.mark.parametrize('jump_us', [-2_000_000, 1_700_000_000_000_000])
+def test_a_camera_clock_that_jumps_is_refused(jump_us: int) -> None:
+    rng = np.random.default_rng(6)
+    collector = PacketCollector(60.0)
+    collector.add(serialised(some_events(rng, 5_000_000, 10), 5_001_000, 0))
+    collector.add(serialised(some_events(rng, 5_400_000, 10), 5_401_000, 1))
+    with pytest.raises(GapError):
+        collector.add(serialised(some_events(rng, 5_401_000 + jump_us, 10), 5_402_000 + jump_us, 2))
+
+
+def test_a_driver_that_was_started_anew_is_refused() -> None:
+    rng = np.random.default_rng(6)
+    collector = PacketCollector(60.0)
+    collector.add(serialised(some_events(rng, 5_000_000, 10), 5_001_000, 41))
+    with pytest.raises(GapError):
+        collector.add(serialised(some_events(rng, 5_071_000, 10), 5_072_000, 0))

@@ -112,6 +112,17 @@ def test_covariance_grows_when_anchors_scatter_more_than_they_claim() -> None:
     assert fit.residual_rms_s == pytest.approx(0.004, rel=0.1)
 
 
+def test_the_uncertainty_covers_a_drift_that_changes_in_an_hour() -> None:
+    seconds = np.arange(3600)
+    strayed = 1e-6 * 1800 / np.pi * np.sin(np.pi * seconds / 1800)
+    noise = np.random.default_rng(2).normal(0.0, 2e-6, len(seconds))
+    times = [EPOCH_US + 1_000_000 * k for k in seconds.tolist()]
+    shown = (seconds + strayed + noise).tolist()
+    fit = fit_clock([Anchor(t, r, 2e-6) for t, r in zip(times, shown, strict=True)])
+    error = fit.to_reference(np.array(times)) - seconds - strayed
+    assert np.mean(np.abs(error) < 1.96 * fit.std_at(np.array(times))) > 0.9
+
+
 def test_weights_favour_the_sharper_anchors() -> None:
     sharp = [Anchor(0, 0.0, 1e-4), Anchor(20_000_000, 20.0, 1e-4)]
     fit = fit_clock([*sharp, Anchor(10_000_000, 10.01, 1e-2)])
@@ -204,11 +215,32 @@ def test_the_fields_obey_the_relation_of_the_message() -> None:
         assert left == pytest.approx(right, abs=1e-6)
 
 
-@pytest.mark.parametrize(('name', 'value'), [('a', 0.0), ('a', float('nan')), ('b', float('inf'))])
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('a', 0.0),
+        ('a', float('nan')),
+        ('b', float('inf')),
+        ('camera_epoch', 1e300),
+        ('camera_anchors', [1.0]),
+        ('camera_anchors', [None, 1.0]),
+        ('reference_anchors', [float('nan'), 1.0]),
+        ('reference_anchors', 3),
+        ('residuals', ['none']),
+    ],
+)
 def test_fields_that_are_no_map_are_refused(name: str, value: float) -> None:
     fields = fit_clock([Anchor(0, 7.5, 1e-3), Anchor(9_000_000, 16.5, 1e-3)]).to_fields()
     with pytest.raises(AlignmentError):
         ClockFit.from_fields({**fields, name: value})
+
+
+@pytest.mark.parametrize('name', ['covariance', 'residuals', 'method', 'camera_anchors'])
+def test_fields_that_lack_one_are_refused(name: str) -> None:
+    fields = fit_clock([Anchor(0, 7.5, 1e-3), Anchor(9_000_000, 16.5, 1e-3)]).to_fields()
+    del fields[name]
+    with pytest.raises(AlignmentError):
+        ClockFit.from_fields(fields)
 
 
 def test_stamps_far_from_zero_are_placed_exactly() -> None:

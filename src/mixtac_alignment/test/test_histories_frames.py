@@ -69,3 +69,12 @@ def test_images_smaller_than_a_cell_are_left_out() -> None:
     history = FrameHistory(1.0)
     history.push(400, 500, reduce_frame(np.zeros((260, 9), np.uint8), 255.0))
     assert history.snapshot() is None
+
+
+def test_frames_without_the_times_of_their_exposure_are_left_out() -> None:
+    history = FrameHistory(1.0)
+    for start_us, end_us in ((400, 500), (0, 0), (600, 600), (700, 800)):
+        history.push(start_us, end_us, np.zeros(4, np.float32))
+    frames = history.snapshot()
+    assert frames is not None
+    assert frames.start_us.tolist() == [400, 700]

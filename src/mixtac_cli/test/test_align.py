@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
 from mixtac_alignment.bags import read_fit, read_recording, rewrite_bag, sensor_of
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.align import align_bag
 from mixtac_cli.main import main
@@ -95,6 +96,10 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
         assert new.counts['/mixtac/clock_fit'] == 1
         before, force = old.wrenches('/ft_sensor/wrench')
         after, same = new.wrenches('/ft_sensor/wrench')
+        ((_, _, message),) = new.messages('/mixtac/clock_fit')
+    own = ClockFit.from_fields(vars(message))
+    assert np.abs(own.stamp_to_camera_us(after) - after / 1e3).max() < 1.0
+    assert own.std_at(START_US) == outcome.fit.std_at(START_US)
     assert force.tolist() == same.tolist()
     shown_us = (before - round(REFERENCE_S * 1e9)) / RATE / 1e3
     assert np.abs(after / 1e3 - START_US - shown_us).max() < 1500.0

@@ -93,8 +93,8 @@ def import_recording(
         What was written.
 
     Raises:
-        RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, or the
-            bag exists.
+        RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, forces
+            on the camera's clock have no time in common with its data, or the bag exists.
         FileError: The bag cannot be written.
     """
     options = options or TableOptions()
@@ -197,7 +197,8 @@ def _write(
         for stamp, row in zip(stamps, values, strict=True)
     )
     following = next(waiting, None)
-    first_ns = None if same_clock or following is None else following[0]
+    first = last = following
+    first_ns = None if same_clock or first is None else first[0]
     reached_us = start_us = latest_us = -1
     for piece in camera.pieces:
         piece.check()
@@ -211,16 +212,34 @@ def _write(
         shift_ns = 0 if first_ns is None else first_ns - 1000 * start_us
         while following is not None and following[0] - shift_ns <= received_ns:
             _write_wrench(writer, counts, *following, following[0] - shift_ns)
-            following = next(waiting, None)
+            last, following = following, next(waiting, None)
         _write_piece(writer, counts, piece, received_ns)
     if start_us < 0:
         raise RecordingError('there is nothing to import: no events and no frames')
     while following is not None:
         _write_wrench(writer, counts, *following, 1000 * reached_us)
-        following = next(waiting, None)
+        last, following = following, next(waiting, None)
+    if same_clock and first and last:
+        _check_overlap((first[0], last[0]), (1000 * start_us, 1000 * reached_us))
     # Closes the packet of the last millisecond.
     writer.events(Events.empty(), reached_us + 1000, 1000 * reached_us)
     return counts
+
+
+def _check_overlap(forces_ns: tuple[int, int], camera_ns: tuple[int, int]) -> None:
+    """Refuse forces on the clock of the camera that end before its data begin, or begin later.
+
+    Raises:
+        RecordingError: As above.
+    """
+    if forces_ns[1] < camera_ns[0] or forces_ns[0] > camera_ns[1]:
+        forces, camera = (
+            f'{start / 1e9:.3f} to {end / 1e9:.3f} s' for start, end in (forces_ns, camera_ns)
+        )
+        raise RecordingError(
+            f'forces of {forces} and camera data of {camera} are not of one clock',
+            remedy='give the units of the times, or leave --same-clock out and align the bag',
+        )
 
 
 def _checked_end(events: Events, latest_us: int) -> int:

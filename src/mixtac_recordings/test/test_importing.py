@@ -270,6 +270,20 @@ def test_a_unit_of_force_is_not_to_be_left_out(tmp_path: Path):
     assert 'leave' not in caught.value.remedy
 
 
+def test_forces_of_another_time_are_not_of_the_clock_of_the_camera(tmp_path: Path):
+    (tmp_path / 'events.csv').write_text('t,x,y,p\n' + ''.join(f'{k},1,1,1\n' for k in range(9)))
+    for start, count in ((0, 2), (1_700_000_000, 0)):
+        (tmp_path / 'forces.csv').write_text(f't,fz\n{start},0\n{start + 1},1\n')
+        with pytest.raises(RecordingError) if not count else contextlib.nullcontext():
+            import_recording(
+                tmp_path / 'events.csv',
+                tmp_path / f'bag_{start}',
+                forces=tmp_path / 'forces.csv',
+                same_clock=True,
+            )
+        assert len(find_bags(tmp_path)) == 1
+
+
 def test_the_clock_fit_of_an_earlier_bag_is_not_taken_over(tmp_path: Path):
     fit_path(tmp_path / 'bag').write_text('{}')
     with pytest.raises(RecordingError) as caught:

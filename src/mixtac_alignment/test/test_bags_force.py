@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The reference force of a bag: what is no sample is left out, as the node does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from mixtac_alignment.bags import read_recording
+from mixtac_alignment.errors import GapError
+from mixtac_events.arrays import Events
+from mixtac_node import topics
+from mixtac_recordings.bag_writer import McapBag
+from mixtac_recordings.stream_writer import StreamWriter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SECOND_NS = 1_000_000_000
+
+
+def bag(path: Path, samples: list[tuple[int, float]]) -> Path:
+    """Write a bag with forces at times [ns] and one packet."""
+    with McapBag(path) as written:
+        writer = StreamWriter(written, (346, 260))
+        event = np.array([1_000_000]), np.zeros(1, np.uint16), np.zeros(1, np.uint16)
+        writer.events(Events(*event, np.ones(1, np.bool_)), 1_001_000, SECOND_NS)
+        for k, (stamp_ns, normal) in enumerate(samples):
+            values = np.array([0.0, 0.0, normal, 0.0, 0.0, 0.0])
+            writer.wrench(topics.REFERENCE_WRENCH, stamp_ns, values, '', SECOND_NS + k)
+    return path
+
+
+def test_samples_without_a_later_stamp_or_a_number_are_left_out(tmp_path: Path) -> None:
+    samples = [(SECOND_NS + 1_000_000 * k, float(k)) for k in range(9)]
+    samples[0] = (0, 1.0)
+    samples[3] = (0, 3.0)
+    samples[5] = (samples[4][0], 5.0)
+    samples[7] = (samples[7][0], float('nan'))
+    recording = read_recording(bag(tmp_path / 'bag', samples))
+    assert recording.force.tolist() == [1.0, 2.0, 4.0, 6.0, 8.0]
+    assert recording.force_t_s.tolist() == [1.001, 1.002, 1.004, 1.006, 1.008]
+
+
+def test_a_reference_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+    samples = [(SECOND_NS * k, float(k)) for k in (8, 9, 5, 6)]
+    with pytest.raises(GapError):
+        read_recording(bag(tmp_path / 'bag', samples))
+
+
+def test_a_bag_of_hours_keeps_its_force(tmp_path: Path) -> None:
+    samples = [(SECOND_NS * k, float(k)) for k in range(1, 9000, 1000)]
+    assert len(read_recording(bag(tmp_path / 'bag', samples)).force) == 9
