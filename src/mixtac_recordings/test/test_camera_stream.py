@@ -224,6 +224,21 @@ def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
     assert (len(found.events), len(found.frames), len(found.imu)) == (0, 1, 0)
 
 
+@pytest.mark.parametrize(
+    ('own', 'other'), [('/left', '/right'), ('', '/right'), ('/hand', '/hand/b')]
+)
+def test_samples_and_frames_are_those_of_the_camera_of_the_events(tmp_path, own, other):
+    with Bag(tmp_path / 'bag') as bag:
+        for number, space in enumerate((own, other)):
+            bag.events(some_events(number, 100), topic=f'{space}/events')
+            pixels = np.full((4, 4), number, np.uint8)
+            bag.image(pixels, START_US, encoding='mono8', topic=f'{space}/image_raw')
+            bag.imu(START_US, (number, 0, 0), topic=f'{space}/imu/data_raw')
+    found = read(tmp_path / 'bag', events=f'{own}/events')
+    assert [int(frame.image.max()) for frame in found.frames] == [0]
+    assert [acceleration.tolist() for _, acceleration, *_ in found.imu] == [[0, 0, 0]]
+
+
 def plain_words(path):
     """Decode the events of a real recording by the letter of the encoding, without our codec."""
     from rosbags.rosbag2 import Reader
