@@ -86,6 +86,8 @@ class PacketCollector:
         """
         message = read_packet(data)
         packet = self._decoder.decode(message)
+        if not self._decoder.timed:
+            return
         start_us = packet.start_us
         size = (message.width, message.height)
         if size != self._size or start_us < self._newest_us - RESTART_US:
