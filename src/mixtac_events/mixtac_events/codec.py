@@ -210,7 +210,8 @@ def _codec(encoding: str) -> Codec:
         return _CODECS[encoding]
     except KeyError:
         raise CodecError(
-            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)}'
+            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)}, and'
+            f' {foreign.MONO} to read; {foreign.EVT3} is read from recordings only'
         ) from None
 
 

@@ -85,6 +85,14 @@ def test_packets_become_forces_and_losses_are_counted(feed):
     assert 0 < status.step_p50_ms <= status.step_p99_ms
 
 
+def test_packets_of_other_drivers_become_forces(feed):
+    forces = []
+    for sequence, offset_ns in enumerate((205_000_000, 206_500_000)):
+        forces += feed.packet(message(sequence, 'mono', offset_ns, bytes(8)))
+    assert [estimate.end_us for estimate in forces] == [206_000]
+    assert feed.status().bad_messages == 0
+
+
 def test_a_restarted_publisher_is_no_loss(feed):
     for sequence in (1000, 0, 1):
         packet(feed, sequence, 300_000 + sequence)
