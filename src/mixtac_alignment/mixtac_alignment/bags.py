@@ -93,6 +93,8 @@ class PacketCollector:
         """
         message = read_packet(data)
         packet = self._decoder.decode(message)
+        if not self._decoder.timed:
+            return
         start_us = packet.start_us
         size = (message.width, message.height)
         ahead_us = start_us - self._newest_us if self._first is not None else 0

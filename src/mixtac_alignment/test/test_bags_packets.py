@@ -12,7 +12,7 @@ from mixtac_alignment.errors import GapError
 from mixtac_alignment.histories import BIN_US
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
-from mixtac_events.packets import CodecError
+from mixtac_events.packets import CodecError, EncodedPacket
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.recording import RecordingError
 
@@ -23,7 +23,12 @@ TYPE = 'event_camera_msgs/msg/EventPacket'
 def serialised(
     events: Events, until: int, seq: int, frame: str = 'camera', bigendian: bool = False
 ) -> bytes:
-    packet = encode(events, complete_until=until)
+    return message_of(encode(events, complete_until=until), seq, frame, bigendian)
+
+
+def message_of(
+    packet: EncodedPacket, seq: int, frame: str = 'camera', bigendian: bool = False
+) -> bytes:
     stamp = STORE.types['builtin_interfaces/msg/Time'](1, 2)
     message = STORE.types[TYPE](
         STORE.types['std_msgs/msg/Header'](stamp, frame),
@@ -73,6 +78,14 @@ def test_batches_hold_every_event_and_mark_what_was_lost() -> None:
     lost = (1_400_000 - counts.start_us) // BIN_US
     assert counts.lost_near(lost, 0)
     assert not counts.lost_near(lost - 10, 0)
+
+
+def test_packets_before_the_first_known_time_of_evt3_do_not_count() -> None:
+    collector = PacketCollector(60.0)
+    for seq, words in enumerate(([0x6C18, 0x2000], [0x84C5, 0x6001, 0x2000])):
+        payload = np.array(words, np.uint16).view(np.uint8)
+        collector.add(message_of(EncodedPacket('evt3', 0, payload), seq))
+    assert collector.counts('here').start_us == ((0x4C5 << 12) + 1) // BIN_US * BIN_US
 
 
 def test_no_packets_are_an_error_that_names_the_place() -> None:

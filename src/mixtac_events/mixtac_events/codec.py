@@ -159,9 +159,14 @@ class StreamDecoder:
     """Decodes the messages of one topic of a recording in their order; each pass needs its own.
 
     It reads all of `READABLE`: packets of `evt3` continue the ones before them.
+
+    Attributes:
+        timed: Whether the times of the latest packet mean anything: those of `evt3` do not before
+            the first that is whole.
     """
 
     def __init__(self) -> None:
+        self.timed = True
         self._evt3 = foreign.Evt3Decoder()
 
     def decode(self, message: PacketMessage) -> DecodedPacket:
@@ -174,7 +179,9 @@ class StreamDecoder:
             return decode_message(message)
         data = np.frombuffer(message.events, np.uint8).copy()
         size = {'width': int(message.width), 'height': int(message.height)}
-        return _bounded(self._evt3.decode(data, **size))
+        packet = _bounded(self._evt3.decode(data, **size))
+        self.timed = self._evt3.timed
+        return packet
 
 
 def _bounded(packet: DecodedPacket) -> DecodedPacket:
@@ -203,7 +210,8 @@ def _codec(encoding: str) -> Codec:
         return _CODECS[encoding]
     except KeyError:
         raise CodecError(
-            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)}'
+            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)}, and'
+            f' {foreign.MONO} to read; {foreign.EVT3} is read from recordings only'
         ) from None
 
 

@@ -41,6 +41,11 @@ class Evt3Decoder:
     def __init__(self) -> None:
         self._state = np.zeros(6, np.int64)
 
+    @property
+    def timed(self) -> bool:
+        """Whether a packet has told the upper bits of the time, which few of them may hold."""
+        return bool(self._state[_KNOWN] & 1)
+
     def decode(self, payload: NDArray[np.uint8], *, width: int, height: int) -> DecodedPacket:
         """Decode the next packet.
 

@@ -35,6 +35,18 @@ def rows(packet) -> list[tuple[int, int, int, bool]]:
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
+def test_times_mean_nothing_before_their_upper_bits():
+    decoder = StreamDecoder()
+    known = []
+    for payload in (words((TIME_LOW, 7), (EVENT, 5)), words((TIME_HIGH, 2)), words((TIME_LOW, 9))):
+        decoder.decode(message(payload))
+        known.append(decoder.timed)
+    assert known == [False, True, True]
+    other = StreamDecoder()
+    other.decode(message(bytes(8), 'mono'))
+    assert other.timed
+
+
 def test_single_events_and_vectors():
     payload = words(
         (EVENT, 5),

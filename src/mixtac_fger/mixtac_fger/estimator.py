@@ -247,7 +247,8 @@ class EstimatorCounters:
         frames: Frames applied.
         frames_dropped: Frames replaced by a newer one before they were encoded or applied.
         frames_off_clock: Frames not used because their exposure is not near the time of the events.
-        bad_frames: Frames of a size that the model does not read (background only).
+        bad_frames: Frames that are damaged, or of a size that the model does not read (background
+            only).
         gaps: Holes in the stream.
         skipped_windows: Windows in holes so long that the estimate started over.
         late_events: Events dropped because their window was closed.

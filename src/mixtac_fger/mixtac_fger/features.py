@@ -265,7 +265,8 @@ class FramePreparation:
         if image.shape != (config.height, config.width):
             raise ImageError(
                 f'image of shape {image.shape}: the model reads {config.height} rows and'
-                f' {config.width} columns; set the camera to full resolution'
+                f' {config.width} columns; set the camera to full resolution, or choose a model of'
+                ' its size'
             )
         bin_mean(image, config.gradient_bin, self._fine)
         bin_mean(self._fine, config.frame_bin // config.gradient_bin, self._coarse)

@@ -36,6 +36,7 @@ WATCHED = {
     'repeated_packets': 'event packets received twice (is there a second publisher?)',
     'publisher_restarts': 'restarts of the publisher',
     'bad_messages': 'messages refused',
+    'bad_frames': 'frames refused',
     'resets': 'restarts of the clock or the state',
     'late_events': 'events too late for their window',
     'withheld': 'windows without force',
@@ -98,7 +99,8 @@ class FeedStatus:
         publisher_restarts: Times the sequence numbers went back.
         bad_messages: Packets and images that could not be read.
         frames_missing: Frames that never came, by the times of those that did.
-        problem: Reason for the latest one since the previous status, empty if there was none.
+        problem: Why the latest message or frame since the previous status was refused; empty if
+            none was.
         lately: Counters that rose since the previous status, a part of `WATCHED`.
     """
 
@@ -220,6 +222,8 @@ class LiveFeed:
         """Return the figures; rate and `lately` cover the time since the previous call."""
         estimator = self.estimator.status()
         problem, self._problem = self._problem, ''
+        if estimator.bad_frames > self._before['bad_frames']:
+            problem = problem or self.estimator.frame_problem
         found = FeedStatus(
             estimator=estimator,
             rate_hz=self._rate.read(time.monotonic()),
@@ -285,6 +289,6 @@ def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
     if found.lately:
         rises = (f'{count} {WATCHED[name]}' for name, count in found.lately.items())
         parts.append('since the last report: ' + ', '.join(rises))
-    if found.problem:
+    if found.problem and found.problem not in estimator.reason:
         parts.append(found.problem)
     return (level, '; '.join(parts)) if parts else (OK, 'estimating')

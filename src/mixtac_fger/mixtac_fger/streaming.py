@@ -176,6 +176,11 @@ class ForceEstimator:
         return self._frame
 
     @property
+    def frame_problem(self) -> str:
+        """What was wrong with the latest frame that the frame thread refused; empty for none."""
+        return '' if self._worker is None else self._worker.problem
+
+    @property
     def frame_force(self) -> float:
         """Frames-only force of the latest frame [N]; 0 without one."""
         return 0.0 if self._frame is None else self.force_scale * self._frame.force
@@ -340,7 +345,7 @@ class ForceEstimator:
         reference, worker = self._estimator.reference, self._worker
         if worker is not None and not worker.alive:
             return 'the frame thread has ended: deactivate and activate the estimator'
-        problem = f'; {worker.problem}' if worker is not None and worker.problem else ''
+        problem = f'; {self.frame_problem}' if self.frame_problem else ''
         if reference is None or reference.array is not None:
             if self._frame is None:
                 return f'waiting for a frame{problem}'

@@ -85,6 +85,14 @@ def test_packets_become_forces_and_losses_are_counted(feed):
     assert 0 < status.step_p50_ms <= status.step_p99_ms
 
 
+def test_packets_of_other_drivers_become_forces(feed):
+    forces = []
+    for sequence, offset_ns in enumerate((205_000_000, 206_500_000)):
+        forces += feed.packet(message(sequence, 'mono', offset_ns, bytes(8)))
+    assert [estimate.end_us for estimate in forces] == [206_000]
+    assert feed.status().bad_messages == 0
+
+
 def test_a_restarted_publisher_is_no_loss(feed):
     for sequence in (1000, 0, 1):
         packet(feed, sequence, 300_000 + sequence)
@@ -147,10 +155,23 @@ def test_bad_images_are_counted_and_explained(feed):
     assert 'yuv422' in feed.status().problem
     feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 0)
     feed.estimator.drain()
-    assert feed.status().estimator.bad_frames == 1
-    assert feed.status().bad_messages == 1
+    status = feed.status()
+    assert (status.estimator.bad_frames, status.bad_messages) == (1, 1)
     assert packet(feed, 1, 205_000) == []
     assert packet(feed, 2, 206_500)
+
+
+def test_frames_of_another_size_are_explained_while_forces_come(feed):
+    packet(feed, 1, 205_000)
+    assert packet(feed, 2, 206_500)
+    feed.status()
+    feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 206_000)
+    feed.estimator.drain()
+    status = feed.status()
+    assert status.estimator.ready
+    assert losses(status) == {'bad_frames': 1}
+    assert '(3, 4)' in status.problem
+    assert feed.status().problem == ''
 
 
 def test_warming_up_leaves_the_model_alone(model):

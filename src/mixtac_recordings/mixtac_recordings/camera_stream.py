@@ -114,6 +114,8 @@ class BagRecording:
                 continue
             if topic == self._events:
                 self.counters.packets_missing += counter.update(message.seq)
+                if not self._decoder.timed:
+                    continue
             yield piece
             passed += 1
             if held is not None and passed >= PATIENCE:
@@ -176,7 +178,10 @@ class BagRecording:
         first = self._first(self._leader)
         size = self._first_info()
         if self._events:
-            start_us = self._piece(self._events, first).start_us
+            for _, _, first in self._bag.messages(self._events):
+                start_us = self._piece(self._events, first).start_us
+                if self._decoder.timed:
+                    break
             apart_us = stamp_to_us(first.header.stamp) - start_us
             self._offset_us = apart_us if self._on_host_clock(start_us, apart_us) else 0
             size = (int(first.width), int(first.height))

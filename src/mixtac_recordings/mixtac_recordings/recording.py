@@ -248,7 +248,7 @@ def choose(
         wanted: A name, empty or `NONE`, as in `Selection`.
         kind: Kind of data, as in `Selection`: events, image or imu.
         path: The recording, for messages.
-        beside: A topic; of several, one in its namespace is taken if it is the only one there.
+        beside: A topic; of several, the one that is highest in its namespace is taken.
 
     Raises:
         RecordingError: The wanted one is missing, or there are several and none was named.
@@ -256,8 +256,8 @@ def choose(
     if wanted == NONE:
         return None
     remedy = (
-        f'choose one of {", ".join(found)}, or none, with --{kind} (playback_{kind}_topic of the'
-        ' driver)'
+        f'choose one of {", ".join(found)}, or none, with --{kind} of `mixtac export` or `import`'
+        f' (playback_{kind}_topic of the driver)'
     )
     if wanted and wanted not in found:
         raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
@@ -266,8 +266,10 @@ def choose(
         found = [name for name in found if not name.endswith('_rect')] or found
     if wanted or len(found) < 2:
         return wanted or next(iter(found), None)
-    space = beside.rpartition('/')[0]
-    near = [name for name in found if beside and name.rpartition('/')[0] == space]
+    space = f'{beside.rpartition("/")[0]}/'
+    # Samples are a level below: imu/data_raw.
+    depths = {name: name.count('/') for name in found if beside and name.startswith(space)}
+    near = [name for name, depth in depths.items() if depth == min(depths.values())]
     if len(near) == 1:
         return near[0]
     raise RecordingError(f'{path} has several {kind} topics', remedy=remedy)

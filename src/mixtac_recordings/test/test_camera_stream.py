@@ -196,6 +196,26 @@ def test_packets_that_the_recorder_missed_are_counted(tmp_path):
     assert read(tmp_path / 'bag').counters.packets_missing == 3
 
 
+def test_an_evt3_recording_begins_with_the_first_time_that_is_known(tmp_path):
+    time_low, time_high, event = 0x6000, 0x8000, 0x2000
+    start_us = 0x4C5 << 12
+    with Bag(tmp_path / 'bag') as bag:
+        for late_us, words in (
+            (-1000, [time_low | 0xC18, event]),
+            (1, [time_high | 0x4C5, time_low | 1, event]),
+        ):
+            payload = np.array(words, np.uint16).view(np.uint8)
+            encoded = EncodedPacket('evt3', 0, payload)
+            bag.packet(None, START_US + late_us, encoding='evt3', encoded=encoded)
+        bag.image(
+            np.zeros((4, 4), np.uint8), START_US + 500, encoding='mono8', topic='/mixtac/image'
+        )
+    found = read(tmp_path / 'bag')
+    assert found.events.t.tolist() == [start_us + 1]
+    assert found.info.start_us == start_us + 1
+    assert [frame.middle_us for frame in found.frames] == [start_us + 500]
+
+
 def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
     left, right = some_events(1, 100), some_events(2, 200)
     with Bag(tmp_path / 'bag') as bag:
@@ -222,6 +242,21 @@ def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
         imu='none',
     )
     assert (len(found.events), len(found.frames), len(found.imu)) == (0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ('own', 'other'), [('/left', '/right'), ('', '/right'), ('/hand', '/hand/b')]
+)
+def test_samples_and_frames_are_those_of_the_camera_of_the_events(tmp_path, own, other):
+    with Bag(tmp_path / 'bag') as bag:
+        for number, space in enumerate((own, other)):
+            bag.events(some_events(number, 100), topic=f'{space}/events')
+            pixels = np.full((4, 4), number, np.uint8)
+            bag.image(pixels, START_US, encoding='mono8', topic=f'{space}/image_raw')
+            bag.imu(START_US, (number, 0, 0), topic=f'{space}/imu/data_raw')
+    found = read(tmp_path / 'bag', events=f'{own}/events')
+    assert [int(frame.image.max()) for frame in found.frames] == [0]
+    assert [acceleration.tolist() for _, acceleration, *_ in found.imu] == [[0, 0, 0]]
 
 
 def plain_words(path):
