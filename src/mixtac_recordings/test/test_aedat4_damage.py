@@ -88,6 +88,22 @@ def test_a_damaged_packet_is_left_out_and_named(tmp_path, counts):
     assert_equal(events, Events.concatenate([EVENTS[: 4 * PACKET], EVENTS[5 * PACKET :]]))
 
 
+@pytest.mark.parametrize('rest', [bytes(8), struct.pack('<ii', 0, 1) + b'.'], ids=['zeros', 'junk'])
+def test_what_is_said_of_a_long_damaged_end_is_short(tmp_path, rest):
+    path = tmp_path / 'x.aedat4'
+    write(path, counts=False)
+    with contextlib.closing(aedat4_file.Aedat4File(path)) as file:
+        last = file.index()[-1]
+    end = int(last['offset'] + last['size'])
+    # The place of the table is unknown, as in a file whose writer was killed.
+    data = path.read_bytes()[:end].replace(struct.pack('<q', end), struct.pack('<q', -1), 1)
+    path.write_bytes(data + 1000 * rest)
+    found = read(path)
+    assert_equal(found.events, EVENTS)
+    assert str(end) in found.info.damage
+    assert len(found.info.damage) < 2000
+
+
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(near_end=st.booleans(), at=st.integers(0, 3000), octets=st.binary(min_size=1, max_size=8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, near_end, at, octets):
