@@ -412,7 +412,16 @@ class _NpzTables(Tables):
                 columns = {each[:-4]: _npz_column(archive, each) for each in members}
                 for rows in _sliced(columns, name):
                     yield rows, {}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        # Archives that are encrypted or packed in another way: RuntimeError.
+        except (
+            OSError,
+            ValueError,
+            EOFError,
+            OverflowError,
+            RuntimeError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise RecordingError(f'{path} is no NPZ file of arrays: {error}') from error
 
 

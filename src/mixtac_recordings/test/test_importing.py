@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -281,6 +282,20 @@ def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
     path = tmp_path / 'events.npz'
     with path.open('wb') as file:
         np.save(file, np.zeros(3))
+    with pytest.raises(RecordingError):
+        import_recording(path, tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('shape', [(3,), (1 << 70,)], ids=['encrypted', 'of no size'])
+def test_an_npz_that_cannot_be_unpacked_is_refused(tmp_path: Path, shape: tuple[int, ...]):
+    path = tmp_path / 'events.npz'
+    with zipfile.ZipFile(path, 'w') as archive, archive.open('t.npy', 'w') as file:
+        header = {'descr': '<i8', 'fortran_order': False, 'shape': shape}
+        np.lib.format.write_array_header_1_0(file, header)
+    if shape == (3,):
+        data = bytearray(path.read_bytes())
+        data[6] = data[data.index(b'PK\x01\x02') + 8] = 1
+        path.write_bytes(data)
     with pytest.raises(RecordingError):
         import_recording(path, tmp_path / 'bag')
 
