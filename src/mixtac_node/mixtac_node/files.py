@@ -214,7 +214,8 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[str, int] = {}
 
     def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
-        event, before = self.peek_event(), self._size
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        before = self._size
         node = super().compose_node(parent, index)
         if isinstance(event, yaml.AliasEvent):
             size = self._sizes.get(event.anchor, _MOST_REPEATED)
