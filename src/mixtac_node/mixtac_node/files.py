@@ -211,7 +211,7 @@ class _Loader(yaml.SafeLoader):
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._size = self._repeated = 0
-        self._sizes: dict[str, int] = {}
+        self._sizes: dict[str | None, int] = {}
 
     def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
