@@ -140,7 +140,9 @@ def test_another_kind_of_file_is_named(tmp_path, content):
     assert str(path) in refusal(path)
 
 
-@pytest.mark.parametrize('config', ['{', '[]', '{"width": 1}', 'null', '[' * 100_000])
+@pytest.mark.parametrize(
+    'config', ['{', '[]', '{"width": 1}', 'null', pytest.param('[' * 100_000, id='nested')]
+)
 def test_an_unusable_configuration_is_named(saved, config):
     refusal(rewritten(saved[0], config=config))
 
