@@ -235,17 +235,18 @@ def _streams(text: bytes) -> list[StreamInfo]:
     try:
         # The parser expands no external entities, and newer ones limit the internal.
         tree = ET.fromstring(text)  # noqa: S314
-    except ET.ParseError as error:
+        outputs = [node for node in tree.iter('node') if node.get('name') == 'outInfo']
+        return [
+            _stream(node)
+            for output in outputs
+            for node in output.findall('node')
+            if (node.get('name') or '').isdecimal()
+        ]
+    # Unknown encodings, and numbers of thousands of digits.
+    except (ET.ParseError, LookupError, ValueError) as error:
         raise DamagedRecordingError(
             f'the description of its streams cannot be read: {error}'
         ) from error
-    outputs = [node for node in tree.iter('node') if node.get('name') == 'outInfo']
-    return [
-        _stream(node)
-        for output in outputs
-        for node in output.findall('node')
-        if (node.get('name') or '').isdecimal()
-    ]
 
 
 def _stream(node: ET.Element) -> StreamInfo:

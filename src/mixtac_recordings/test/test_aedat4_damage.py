@@ -104,6 +104,27 @@ def test_what_is_said_of_a_long_damaged_end_is_short(tmp_path, rest):
     assert len(found.info.damage) < 2000
 
 
+@pytest.mark.parametrize(
+    ('before', 'more'),
+    [
+        (b'<dv version', b'<?xml version="1.0" encoding="none"?>'),
+        (b'<dv version', b'<?xml version="1.0" encoding="utf-7"?>'),
+        (b'0"', b'9' * 5000),
+    ],
+    ids=['unknown encoding', 'encoding of several bytes', 'digits'],
+)
+def test_a_description_that_cannot_be_read_is_refused(tmp_path, before, more):
+    path = tmp_path / 'x.aedat4'
+    with contextlib.closing(Aedat4Writer(path, (346, 260), 'x' * 6000)):
+        pass
+    data = path.read_bytes()
+    place = data.index(before, data.index(b'<node name="0') if before == b'0"' else 0)
+    # In place of a part of the name of the camera.
+    path.write_bytes(data[:place] + more + data[place:].replace(b'x' * len(more), b'', 1))
+    with pytest.raises(DamagedRecordingError):
+        aedat4_file.Aedat4File(path)
+
+
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(near_end=st.booleans(), at=st.integers(0, 3000), octets=st.binary(min_size=1, max_size=8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, near_end, at, octets):
