@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -426,6 +428,17 @@ def test_tables_of_pictures(tmp_path: Path, text: str, count: int):
 def test_a_row_without_all_cells_is_refused(tmp_path: Path):
     with pytest.raises(RecordingError):
         import_recording(pictures(tmp_path, f'file,t\na.png,{START_US}\na.png\n'), tmp_path / 'bag')
+
+
+def test_a_picture_that_claims_to_be_enormous_is_refused(tmp_path: Path):
+    folder = pictures(tmp_path, f'file,t\na.png,{START_US}\n')
+    data = bytearray((folder / 'a.png').read_bytes())
+    struct.pack_into('>II', data, 16, 60_000, 60_000)
+    struct.pack_into('>I', data, 29, zlib.crc32(data[12:29]))
+    (folder / 'a.png').write_bytes(data)
+    with pytest.raises(RecordingError) as caught:
+        import_recording(folder, tmp_path / 'bag')
+    assert str(folder / 'a.png') in str(caught.value)
 
 
 def test_an_empty_table_of_frames_gives_no_size(tmp_path: Path):
