@@ -28,6 +28,8 @@ from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, 
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
+_LATEST_S: Final = 2.0**31
+"""Times that fit into ROS stamps are nearer to zero [s]."""
 _MAP = ('a', 'b', 'camera_epoch', 'reference_epoch')
 
 
@@ -169,11 +171,23 @@ class ClockFit:
         try:
             a, b, camera_s, reference_s = (float(fields[name]) for name in _MAP)
             covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
-        except (KeyError, TypeError, ValueError) as error:
+            anchors_s = [fields[name] for name in ('camera_anchors', 'reference_anchors')]
+            pairs_s = np.array(anchors_s, np.float64).reshape(2, -1)
+            residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
+            method = str(fields['method'])
+        except KeyError as error:
             raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
-        if not a > 0.0 or not np.isfinite([a, b, camera_s, reference_s, *covariance.flat]).all():
+        except (TypeError, ValueError, OverflowError) as error:
             raise AlignmentError(
-                f'clock fit with a = {a}, b = {b} is no map of clocks', remedy='fit again'
+                f'clock fit with what is no number: {error}', remedy='fit again'
+            ) from error
+        times = np.array([camera_s, reference_s, *pairs_s.flat])
+        known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()
+        if not known or not (np.abs(times) < _LATEST_S).all():
+            raise AlignmentError(
+                f'clock fit with a = {a}, b = {b} about {camera_s} s and {reference_s} s is no map'
+                ' of clocks',
+                remedy='fit again',
             )
         fit = cls(
             a=a,
@@ -182,13 +196,13 @@ class ClockFit:
             camera_epoch_us=round(camera_s * 1e6),
             reference_epoch_s=reference_s,
             anchors=(),
-            residuals_s=np.array(fields['residuals'], np.float64),
-            method=str(fields['method']),
+            residuals_s=residuals_s,
+            method=method,
         )
-        camera_us = [round(seconds * 1e6) for seconds in fields['camera_anchors']]
+        camera_us = [round(seconds * 1e6) for seconds in pairs_s[0].tolist()]
         anchors = tuple(
-            Anchor(at_us, float(at_s), float(fit.std_at(at_us)))
-            for at_us, at_s in zip(camera_us, fields['reference_anchors'], strict=True)
+            Anchor(at_us, at_s, float(fit.std_at(at_us)))
+            for at_us, at_s in zip(camera_us, pairs_s[1].tolist(), strict=True)
         )
         return replace(fit, anchors=anchors)
 
