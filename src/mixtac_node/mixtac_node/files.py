@@ -238,7 +238,7 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401
         FileError: It is not valid, or its aliases expand to more than a million characters.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506  (a safe loader)
+        return _Loader(text).get_single_data()
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise FileError(f'not valid YAML: {reason}') from error
