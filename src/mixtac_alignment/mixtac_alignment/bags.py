@@ -366,7 +366,10 @@ def read_fit(bag: Path) -> ClockFit:
         raise AlignmentError(f'no clock fit in {path} ({error})', remedy=remedy) from error
     if schema != SCHEMA:
         raise AlignmentError(f'{path} has schema {schema}, not {SCHEMA}', remedy=remedy)
-    return ClockFit.from_fields(content)
+    try:
+        return ClockFit.from_fields(content)
+    except AlignmentError as error:
+        raise AlignmentError(f'{path}: {error.message}', remedy=remedy) from error
 
 
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:
