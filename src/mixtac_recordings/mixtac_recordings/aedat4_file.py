@@ -253,15 +253,21 @@ def _stream(node: ET.Element) -> StreamInfo:
     values = {each.get('key'): each.text or '' for each in node.findall('attr')}
     for inner in node.findall("node[@name='info']"):
         values.update({each.get('key'): each.text or '' for each in inner.findall('attr')})
-    width, height = values.get('sizeX', ''), values.get('sizeY', '')
+    width, height = (_size(values.get(key, '')) for key in ('sizeX', 'sizeY'))
     return StreamInfo(
         number=int(node.get('name') or 0),
         identifier=values.get('typeIdentifier', ''),
         name=values.get('originalOutputName', ''),
         source=values.get('source', ''),
-        width=int(width) if width.isdecimal() else 0,
-        height=int(height) if height.isdecimal() else 0,
+        width=width,
+        height=height,
     )
+
+
+def _size(text: str) -> int:
+    """Return a size in pixels, 0 for what no event can reach."""
+    size = int(text) if text.isdecimal() else 0
+    return size if size <= 1 << 16 else 0
 
 
 STREAMS = {'EVTS': 'events', 'FRME': 'frames', 'IMUS': 'imu', 'TRIG': 'triggers'}

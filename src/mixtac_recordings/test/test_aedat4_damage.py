@@ -125,6 +125,15 @@ def test_a_description_that_cannot_be_read_is_refused(tmp_path, before, more):
         aedat4_file.Aedat4File(path)
 
 
+def test_a_camera_larger_than_events_can_say_has_no_size(tmp_path):
+    path = tmp_path / 'x.aedat4'
+    with contextlib.closing(Aedat4Writer(path, (10**12, 260), 'camera')) as writer:
+        span = (int(EVENTS.t[0]), int(EVENTS.t[-1]))
+        writer.write('EVTS', aedat4.events_packet(EVENTS), len(EVENTS), *span)
+    with pytest.raises(RecordingError):
+        read(path)
+
+
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(near_end=st.booleans(), at=st.integers(0, 3000), octets=st.binary(min_size=1, max_size=8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, near_end, at, octets):
