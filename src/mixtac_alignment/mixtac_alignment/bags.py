@@ -404,7 +404,7 @@ def read_fit(bag: Path) -> ClockFit:
     try:
         return ClockFit.from_fields(content)
     except AlignmentError as error:
-        raise AlignmentError(f'{path}: {error}', remedy=remedy) from error
+        raise AlignmentError(f'{path}: {error.message}', remedy=remedy) from error
 
 
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:

@@ -28,8 +28,8 @@ from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, 
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
-_LARGEST: Final = 2.0**33
-"""Times [s] beyond this are no stamps."""
+_LATEST_S: Final = 2.0**31
+"""Times that fit into ROS stamps are nearer to zero [s]."""
 _MAP = ('a', 'b', 'camera_epoch', 'reference_epoch')
 
 
@@ -171,16 +171,23 @@ class ClockFit:
         try:
             a, b, camera_s, reference_s = (float(fields[name]) for name in _MAP)
             covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
+            anchors_s = [fields[name] for name in ('camera_anchors', 'reference_anchors')]
+            pairs_s = np.array(anchors_s, np.float64).reshape(2, -1)
             residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
-            pairs = [fields['camera_anchors'], fields['reference_anchors']]
-            at = np.array(pairs, np.float64).reshape(2, -1)
             method = str(fields['method'])
-        except (KeyError, TypeError, ValueError) as error:
-            raise AlignmentError(f'damaged clock fit: {error!r}', remedy='fit again') from error
-        numbers = np.hstack([a, b, camera_s, reference_s, covariance.ravel(), residuals_s, *at])
-        if not a > 0.0 or not (np.abs(numbers) < _LARGEST).all():
+        except KeyError as error:
+            raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
+        except (TypeError, ValueError, OverflowError) as error:
             raise AlignmentError(
-                f'clock fit with a = {a}, b = {b} is no map of clocks', remedy='fit again'
+                f'clock fit with what is no number: {error}', remedy='fit again'
+            ) from error
+        times = np.array([camera_s, reference_s, *pairs_s.flat])
+        known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()
+        if not known or not (np.abs(times) < _LATEST_S).all():
+            raise AlignmentError(
+                f'clock fit with a = {a}, b = {b} about {camera_s} s and {reference_s} s is no map'
+                ' of clocks',
+                remedy='fit again',
             )
         fit = cls(
             a=a,
@@ -192,9 +199,10 @@ class ClockFit:
             residuals_s=residuals_s,
             method=method,
         )
+        camera_us = [round(seconds * 1e6) for seconds in pairs_s[0].tolist()]
         anchors = tuple(
-            Anchor(at_us, float(at_s), float(fit.std_at(at_us)))
-            for at_us, at_s in zip(np.rint(1e6 * at[0]).astype(int).tolist(), at[1], strict=True)
+            Anchor(at_us, at_s, float(fit.std_at(at_us)))
+            for at_us, at_s in zip(camera_us, pairs_s[1].tolist(), strict=True)
         )
         return replace(fit, anchors=anchors)
 

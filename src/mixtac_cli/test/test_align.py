@@ -156,9 +156,12 @@ def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: 
     with pytest.raises(AlignmentError) as caught:
         read_fit(tmp_path / 'none')
     assert 'mixtac align' in caught.value.remedy
-    fit_path(bag).write_text('[1, 2]')
-    with pytest.raises(AlignmentError):
-        read_fit(bag)
+    for content in ('[1, 2]', '{"schema": 1, "a": null}'):
+        fit_path(bag).write_text(content)
+        with pytest.raises(AlignmentError) as caught:
+            read_fit(bag)
+        assert str(fit_path(bag)) in caught.value.message
+        assert 'mixtac align' in caught.value.remedy
 
 
 def test_counts_are_those_of_the_events(bag: Path) -> None:

@@ -61,6 +61,8 @@ MOMENTS = 5 + len(TURNING_WIDTHS)
 """Number of moments of a frame; see `mixtac_fger.moments`."""
 FEWEST_WINDOWS = 10
 """Least of `FgerConfig.history_windows`: what is read around a frame."""
+LARGEST = 1_000_000
+"""Most of every whole number of a configuration: a weight file may come from anywhere."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
@@ -167,6 +169,8 @@ class FgerConfig:
                 continue
             if not 0 <= value < math.inf or (value == 0 and field.name != 'deviation_size'):
                 raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive number')
+            if isinstance(value, int) and value > LARGEST:
+                raise ConfigError(f'FgerConfig.{field.name} = {value}: give at most {LARGEST}')
         if self.history_windows < FEWEST_WINDOWS:
             raise ConfigError(
                 f'FgerConfig.history_windows = {self.history_windows}: give {FEWEST_WINDOWS} or'

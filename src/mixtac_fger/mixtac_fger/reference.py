@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import threading
-import zipfile
 from collections import deque
 from pathlib import Path
 
@@ -210,17 +209,7 @@ def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return np.asarray(file['contrast']), np.asarray(file['preparation'])
-    # np.load gives a plain array, which is no context manager, for a .npy file: TypeError, and
-    # AttributeError before Python 3.11.
-    except (
-        AttributeError,
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        TypeError,
-        zipfile.BadZipFile,
-    ) as error:
+    except Exception as error:  # parsers raise whatever damage leads them to
         raise ReferenceFileError(
             f'{path} is not a reference file ({error})', remedy=_REMEDY
         ) from error

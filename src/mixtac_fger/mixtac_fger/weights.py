@@ -165,7 +165,7 @@ def read_model(path: Path) -> Model:
             _mapping(header[name]) for name in ('config', 'training', 'metrics')
         )
         version = int(header['version'])
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise ModelError(
             f'{path}, of architecture {header["architecture"]!r}, has a header that cannot be used '
             f'({error})',

@@ -140,7 +140,9 @@ def test_another_kind_of_file_is_named(tmp_path, content):
     assert str(path) in refusal(path)
 
 
-@pytest.mark.parametrize('config', ['{', '[]', '{"width": 1}', 'null'])
+@pytest.mark.parametrize(
+    'config', ['{', '[]', '{"width": 1}', 'null', pytest.param('[' * 100_000, id='nested')]
+)
 def test_an_unusable_configuration_is_named(saved, config):
     refusal(rewritten(saved[0], config=config))
 
@@ -157,6 +159,8 @@ def test_an_unusable_configuration_is_named(saved, config):
         ('force_unit', float('nan')),
         ('reference_stillness', float('inf')),
         ('history_windows', 1),
+        ('history_windows', 10**9),
+        ('reference_frames', 1 << 63),
     ],
 )
 def test_impossible_configurations_are_refused(field, value):

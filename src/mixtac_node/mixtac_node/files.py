@@ -202,6 +202,48 @@ def write_json(path: Path | None, data: object) -> None:
         write_text(path, json.dumps(data, indent=2) + '\n')
 
 
+_MOST_REPEATED = 1_000_000
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses aliases of what they lie in, and those that stand for too much in all."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._size = self._repeated = 0
+        self._sizes: dict[str | None, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        before = self._size
+        node = super().compose_node(parent, index)
+        if isinstance(event, yaml.AliasEvent):
+            size = self._sizes.get(event.anchor, _MOST_REPEATED)
+            self._size, self._repeated = self._size + size, self._repeated + size
+            if self._repeated >= _MOST_REPEATED:
+                raise yaml.YAMLError(
+                    f'alias *{event.anchor} stands for itself or for too much: write its values out'
+                )
+            return node
+        self._size += 1 + len(getattr(event, 'value', ''))
+        if event.anchor is not None:
+            self._sizes[event.anchor] = self._size - before
+        return node
+
+
+def load_yaml(text: str) -> Any:  # noqa: ANN401
+    """Return the content of a YAML document of plain values, in memory in proportion to its text.
+
+    Raises:
+        FileError: It is not valid, or its aliases expand to more than a million characters.
+    """
+    try:
+        return _Loader(text).get_single_data()
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise FileError(f'not valid YAML: {reason}') from error
+
+
 def read_data(path: Path) -> Any:  # noqa: ANN401
     """Return the content of a YAML file, or of a JSON file (by its suffix).
 
@@ -210,10 +252,12 @@ def read_data(path: Path) -> Any:  # noqa: ANN401
     """
     try:
         text = path.read_text(encoding='utf-8')
-        return json.loads(text) if path.suffix == '.json' else yaml.safe_load(text)
+        return json.loads(text) if path.suffix == '.json' else load_yaml(text)
     except OSError as error:
         raise FileError(f'cannot read {path}: {error.strerror or error}') from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except FileError as error:
+        raise FileError(f'{path} is {error.message}') from error
+    except (ValueError, RecursionError) as error:
         kind = 'JSON' if path.suffix == '.json' else 'YAML'
         reason = ' '.join(str(error).split())
         raise FileError(f'{path} is not valid {kind}: {reason}') from error

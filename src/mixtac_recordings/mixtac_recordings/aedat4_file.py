@@ -40,6 +40,8 @@ ENTRY = np.dtype(
 _LZ4 = 1
 _COMPRESSIONS = {_LZ4: 'lz4', 2: 'lz4', 3: 'zstd', 4: 'zstd'}
 """Each with a number for fast and one for high compression."""
+_MOST_NOTES = 10
+"""Packets left out that are named; a damaged file may hold millions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +83,7 @@ class Aedat4File:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.damage = ''
+        self._left_out = 0
         try:
             self._file = path.open('rb')
         except OSError as error:
@@ -128,14 +131,20 @@ class Aedat4File:
         return self._expanded(self._read(int(entry['offset']), int(entry['size'])))
 
     def leave_out(self, offset: int, why: object) -> None:
-        """Note that a packet is left out.
+        """Count a packet that is left out, and note the first few.
 
         Args:
             offset: That of its entry, where its header of 8 bytes ends.
             why: The reason.
         """
-        note = f'packet at byte {offset - 8} left out ({why})'
-        self.damage = '; '.join(filter(None, (self.damage, note)))
+        self._left_out += 1
+        if self._left_out <= _MOST_NOTES:
+            self._note(f'packet at byte {offset - 8} left out ({why})')
+        elif self._left_out == _MOST_NOTES + 1:
+            self._note('more packets left out')
+
+    def _note(self, text: str) -> None:
+        self.damage = '; '.join(filter(None, (self.damage, text)))
 
     def _header(self) -> tuple[int, Octets]:
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -181,8 +190,11 @@ class Aedat4File:
                 stream, size = struct.unpack('<ii', self._read(offset, 8))
                 packed = self._read(offset + 8, size)
             except DamagedRecordingError as error:
-                note = f'the file was cut off at byte {offset} of {self._size} ({error})'
-                self.damage = '; '.join(filter(None, (self.damage, note)))
+                self._note(f'the file was cut off at byte {offset} of {self._size} ({error})')
+                break
+            if not size:
+                # A file system that lost power may leave zeros.
+                self._note(f'the file was cut off at byte {offset} of {self._size} (zeros)')
                 break
             try:
                 times = packet_times(self._expanded(packed), known.get(stream, ''))
@@ -223,32 +235,39 @@ def _streams(text: bytes) -> list[StreamInfo]:
     try:
         # The parser expands no external entities, and newer ones limit the internal.
         tree = ET.fromstring(text)  # noqa: S314
-    except ET.ParseError as error:
+        outputs = [node for node in tree.iter('node') if node.get('name') == 'outInfo']
+        return [
+            _stream(node)
+            for output in outputs
+            for node in output.findall('node')
+            if (node.get('name') or '').isdecimal()
+        ]
+    # Unknown encodings, and numbers of thousands of digits.
+    except (ET.ParseError, LookupError, ValueError) as error:
         raise DamagedRecordingError(
             f'the description of its streams cannot be read: {error}'
         ) from error
-    outputs = [node for node in tree.iter('node') if node.get('name') == 'outInfo']
-    return [
-        _stream(node)
-        for output in outputs
-        for node in output.findall('node')
-        if (node.get('name') or '').isdecimal()
-    ]
 
 
 def _stream(node: ET.Element) -> StreamInfo:
     values = {each.get('key'): each.text or '' for each in node.findall('attr')}
     for inner in node.findall("node[@name='info']"):
         values.update({each.get('key'): each.text or '' for each in inner.findall('attr')})
-    width, height = values.get('sizeX', ''), values.get('sizeY', '')
+    width, height = (_size(values.get(key, '')) for key in ('sizeX', 'sizeY'))
     return StreamInfo(
         number=int(node.get('name') or 0),
         identifier=values.get('typeIdentifier', ''),
         name=values.get('originalOutputName', ''),
         source=values.get('source', ''),
-        width=int(width) if width.isdecimal() else 0,
-        height=int(height) if height.isdecimal() else 0,
+        width=width,
+        height=height,
     )
+
+
+def _size(text: str) -> int:
+    """Return a size in pixels, 0 for what no event can reach."""
+    size = int(text) if text.isdecimal() else 0
+    return size if size <= 1 << 16 else 0
 
 
 STREAMS = {'EVTS': 'events', 'FRME': 'frames', 'IMUS': 'imu', 'TRIG': 'triggers'}

@@ -234,7 +234,7 @@ class BagFile:
         cause: Exception | None = None
         if not (whole or any(map(_needs_more, files))):
             try:
-                self._readers = [_opened(Reader(self.path))]
+                self._readers = [_opened(self.path)]
             except Exception as error:  # noqa: BLE001  (parsers raise whatever damage leads them to)
                 cause = error
             else:
@@ -265,7 +265,7 @@ class BagFile:
             path = unpack(path, self._unpacked.name)
         if not (whole or _needs_more(path)):
             try:
-                self._readers.append(_opened(Reader(path)))
+                self._readers.append(_opened(path))
             except Exception as error:  # noqa: BLE001  (as above)
                 note = f'the index of {path.name} cannot be used: {_text(error)}'
             else:
@@ -367,9 +367,13 @@ def _holds_bag(folder: Path) -> bool:
     )
 
 
-def _opened(reader: Reader) -> Reader:
+def _opened(path: Path) -> Reader:
+    # The library would expand aliases, and below messages, to any size.
+    if path.is_dir():
+        read_data(path / 'metadata.yaml')
+    reader = Reader(path)
     reader.open()
-    # The library would expand messages of any size: `BagFile.messages` expands them.
+    # `BagFile.messages` expands them.
     found = reader.storage.metadata
     reader.storage.metadata = found._replace(compression_mode=None)
     return reader

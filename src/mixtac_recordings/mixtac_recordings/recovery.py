@@ -315,6 +315,9 @@ class SqliteScan(Sqlite3Reader):
             uri = f'file:{quote(str(path))}?{access}'
             self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
             self._note(self._topics(self._database), self._rows(0))
+            (rows,) = self._database.execute('SELECT count(*) FROM messages').fetchone()
+            if left_out := rows - self.metadata.message_count:
+                self.damage = f'{path.name} has {left_out} rows that are messages of no topic'
         except (sqlite3.Error, ReaderError, TypeError) as error:
             self._pages = SqlitePages(path)
             self._note(self._topics_found(self._pages), self._rows(0))
@@ -342,7 +345,10 @@ class SqliteScan(Sqlite3Reader):
         if self._pages is None:
             assert self._database is not None  # noqa: S101  (open)
             yield from self._database.execute(
-                'SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY id'
+                'SELECT topic_id, timestamp, data FROM messages NOT INDEXED'
+                # A column may hold values of any type.
+                " WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+                " AND timestamp >= 0 AND typeof(data) = 'blob' ORDER BY id"
             )
             return
         for row in self._pages.rows:
@@ -363,6 +369,13 @@ class SqliteScan(Sqlite3Reader):
         # The library would read pages behind the end as zeros.
         if shortened(Path(str(self.path))):
             raise ReaderError('it is shorter than its header says')
+        # The rows of a view may have no end.
+        tables = {
+            name
+            for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")
+        }
+        if not {'topics', 'messages'} <= tables:
+            raise ReaderError('it has no tables of topics and messages')
         columns = {str(row[1]) for row in database.execute('PRAGMA table_info(topics)')}
         if not {'id', 'name', 'type', 'serialization_format'} <= columns:
             raise ReaderError('it has no topics')
@@ -373,7 +386,9 @@ class SqliteScan(Sqlite3Reader):
         rows: list[Any] = database.execute(
             f'SELECT id, name, type, serialization_format, {qos}, {digest} FROM topics'  # noqa: S608
         ).fetchall()
-        definitions = self._definitions(database)
+        if not all(isinstance(text, str) for row in rows for text in row[1:4]):
+            raise ReaderError('its topics have no names')
+        definitions = self._definitions(database) if 'message_definitions' in tables else {}
         return [self._topic(number, values, definitions) for number, *values in rows]
 
     def _topics_found(self, pages: SqlitePages) -> list[Connection]:

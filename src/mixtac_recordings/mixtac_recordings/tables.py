@@ -10,6 +10,7 @@ usual names of columns are understood (`COLUMNS`), and HDF5 files in the layout 
 from __future__ import annotations
 
 import codecs
+import contextlib
 import csv
 import itertools
 import math
@@ -384,7 +385,10 @@ def _picture_rows(
                 remedy='complete or remove the row',
             )
         picture = path.parent / cells.pop(where)
-        image: Any = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        image: Any = None
+        # Pictures that claim more than 2^30 pixels.
+        with contextlib.suppress(cv2.error):
+            image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
         if image is None:
             raise RecordingError(f'{picture} of {path} cannot be read', remedy='check the paths')
         rows = _parsed(path, rest, [separator.join(cells)], separator)
@@ -412,7 +416,16 @@ class _NpzTables(Tables):
                 columns = {each[:-4]: _npz_column(archive, each) for each in members}
                 for rows in _sliced(columns, name):
                     yield rows, {}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        # Archives that are encrypted or packed in another way: RuntimeError.
+        except (
+            OSError,
+            ValueError,
+            EOFError,
+            OverflowError,
+            RuntimeError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise RecordingError(f'{path} is no NPZ file of arrays: {error}') from error
 
 

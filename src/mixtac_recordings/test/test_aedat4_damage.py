@@ -88,6 +88,52 @@ def test_a_damaged_packet_is_left_out_and_named(tmp_path, counts):
     assert_equal(events, Events.concatenate([EVENTS[: 4 * PACKET], EVENTS[5 * PACKET :]]))
 
 
+@pytest.mark.parametrize('rest', [bytes(8), struct.pack('<ii', 0, 1) + b'.'], ids=['zeros', 'junk'])
+def test_what_is_said_of_a_long_damaged_end_is_short(tmp_path, rest):
+    path = tmp_path / 'x.aedat4'
+    write(path, counts=False)
+    with contextlib.closing(aedat4_file.Aedat4File(path)) as file:
+        last = file.index()[-1]
+    end = int(last['offset'] + last['size'])
+    # The place of the table is unknown, as in a file whose writer was killed.
+    data = path.read_bytes()[:end].replace(struct.pack('<q', end), struct.pack('<q', -1), 1)
+    path.write_bytes(data + 1000 * rest)
+    found = read(path)
+    assert_equal(found.events, EVENTS)
+    assert str(end) in found.info.damage
+    assert len(found.info.damage) < 2000
+
+
+@pytest.mark.parametrize(
+    ('before', 'more'),
+    [
+        (b'<dv version', b'<?xml version="1.0" encoding="none"?>'),
+        (b'<dv version', b'<?xml version="1.0" encoding="utf-7"?>'),
+        (b'0"', b'9' * 5000),
+    ],
+    ids=['unknown encoding', 'encoding of several bytes', 'digits'],
+)
+def test_a_description_that_cannot_be_read_is_refused(tmp_path, before, more):
+    path = tmp_path / 'x.aedat4'
+    with contextlib.closing(Aedat4Writer(path, (346, 260), 'x' * 6000)):
+        pass
+    data = path.read_bytes()
+    place = data.index(before, data.index(b'<node name="0') if before == b'0"' else 0)
+    # In place of a part of the name of the camera.
+    path.write_bytes(data[:place] + more + data[place:].replace(b'x' * len(more), b'', 1))
+    with pytest.raises(DamagedRecordingError):
+        aedat4_file.Aedat4File(path)
+
+
+def test_a_camera_larger_than_events_can_say_has_no_size(tmp_path):
+    path = tmp_path / 'x.aedat4'
+    with contextlib.closing(Aedat4Writer(path, (10**12, 260), 'camera')) as writer:
+        span = (int(EVENTS.t[0]), int(EVENTS.t[-1]))
+        writer.write('EVTS', aedat4.events_packet(EVENTS), len(EVENTS), *span)
+    with pytest.raises(RecordingError):
+        read(path)
+
+
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(near_end=st.booleans(), at=st.integers(0, 3000), octets=st.binary(min_size=1, max_size=8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, near_end, at, octets):

@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import struct
+import zipfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -299,6 +302,20 @@ def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
         import_recording(path, tmp_path / 'bag')
 
 
+@pytest.mark.parametrize('shape', [(3,), (1 << 70,)], ids=['encrypted', 'of no size'])
+def test_an_npz_that_cannot_be_unpacked_is_refused(tmp_path: Path, shape: tuple[int, ...]):
+    path = tmp_path / 'events.npz'
+    with zipfile.ZipFile(path, 'w') as archive, archive.open('t.npy', 'w') as file:
+        header = {'descr': '<i8', 'fortran_order': False, 'shape': shape}
+        np.lib.format.write_array_header_1_0(file, header)
+    if shape == (3,):
+        data = bytearray(path.read_bytes())
+        data[6] = data[data.index(b'PK\x01\x02') + 8] = 1
+        path.write_bytes(data)
+    with pytest.raises(RecordingError):
+        import_recording(path, tmp_path / 'bag')
+
+
 def test_a_bag_is_described_by_its_folders(tmp_path: Path):
     for name in ('static/one', 'static/test/two', 'train/dynamic/three'):
         (tmp_path / name).mkdir(parents=True)
@@ -425,6 +442,17 @@ def test_tables_of_pictures(tmp_path: Path, text: str, count: int):
 def test_a_row_without_all_cells_is_refused(tmp_path: Path):
     with pytest.raises(RecordingError):
         import_recording(pictures(tmp_path, f'file,t\na.png,{START_US}\na.png\n'), tmp_path / 'bag')
+
+
+def test_a_picture_that_claims_to_be_enormous_is_refused(tmp_path: Path):
+    folder = pictures(tmp_path, f'file,t\na.png,{START_US}\n')
+    data = bytearray((folder / 'a.png').read_bytes())
+    struct.pack_into('>II', data, 16, 60_000, 60_000)
+    struct.pack_into('>I', data, 29, zlib.crc32(data[12:29]))
+    (folder / 'a.png').write_bytes(data)
+    with pytest.raises(RecordingError) as caught:
+        import_recording(folder, tmp_path / 'bag')
+    assert str(folder / 'a.png') in str(caught.value)
 
 
 def test_an_empty_table_of_frames_gives_no_size(tmp_path: Path):

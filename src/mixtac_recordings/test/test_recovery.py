@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sqlite3
 import struct
@@ -236,6 +237,44 @@ def test_what_a_chunk_expands_to_is_bounded(tmp_path, monkeypatch):
         contents(tmp_path / 'bag')
     with pytest.raises(DamagedRecordingError):
         contents(tmp_path / 'bag', whole=True)
+
+
+def rewritten(sqlite, tmp_path, *statements):
+    """Return a copy of an sqlite3 file after some statements."""
+    path = tmp_path / 'bag.db3'
+    shutil.copy(sqlite[0], path)
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        for statement in statements:
+            database.execute(statement)
+        database.commit()
+    return path
+
+
+@pytest.mark.parametrize(
+    'value',
+    ["timestamp = 'never'", 'timestamp = -1', 'timestamp = 0.5', "data = 'text'", 'data = 1'],
+)
+def test_rows_that_are_no_messages_are_left_out_of_a_repair(sqlite, tmp_path, value):
+    path = rewritten(sqlite, tmp_path, f'UPDATE messages SET {value} WHERE id = 5')
+    found = repair(path, tmp_path / 'repaired')
+    assert found.damage
+    sent = [each for number, each in enumerate(sqlite[1], 1) if number != 5]
+    assert contents(tmp_path / 'repaired')[0] == sent
+
+
+def test_a_view_instead_of_messages_is_refused(sqlite, tmp_path):
+    numbers = 'WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n LIMIT 1000)'
+    rows = "SELECT x AS id, 1 AS topic_id, x AS timestamp, x'00' AS data FROM n"
+    view = f'CREATE VIEW messages AS {numbers} {rows}'
+    path = rewritten(sqlite, tmp_path, 'DROP TABLE messages', view)
+    with pytest.raises(DamagedRecordingError):
+        BagFile(path)
+
+
+def test_topics_without_a_type_are_refused(sqlite, tmp_path):
+    path = rewritten(sqlite, tmp_path, "UPDATE topics SET type = x'00'")
+    with pytest.raises(DamagedRecordingError):
+        repair(path, tmp_path / 'repaired')
 
 
 @pytest.mark.parametrize('seed', range(20))

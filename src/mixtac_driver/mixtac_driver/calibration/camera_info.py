@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration, check_model
-from mixtac_node.files import write_text
+from mixtac_node.files import FileError, load_yaml, write_text
 
 T = TypeVar('T')
 DEFAULT_URL = 'file://${ROS_HOME}/camera_info/${NAME}.yaml'
@@ -122,10 +122,9 @@ def parse_camera_info(text: str) -> CameraCalibration:
         CalibrationError: As `read_camera_info`.
     """
     try:
-        document = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        cause = ' '.join(str(error).split()) or type(error).__name__
-        raise CalibrationError(f'no YAML ({cause}); recalibrate') from error
+        document = load_yaml(text)
+    except FileError as error:
+        raise CalibrationError(f'{error.message}; recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
     missing = [key for key in _KEYS if key not in document]

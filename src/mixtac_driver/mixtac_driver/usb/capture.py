@@ -16,6 +16,7 @@ import struct
 import threading
 import time
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -256,7 +257,8 @@ def read_capture(path: Path) -> Capture:
         raise RecordingError(
             f'{path} is not a bundle: it holds no {MEMBER}', remedy='use mixtac doctor --bundle'
         ) from error
-    except (OSError, zipfile.BadZipFile, EOFError) as error:
+    # Archives that are encrypted or packed in another way: RuntimeError.
+    except (OSError, zipfile.BadZipFile, EOFError, RuntimeError, zlib.error) as error:
         raise RecordingError(f'cannot read {path}: {error}') from error
     return _parse(data, path)
 

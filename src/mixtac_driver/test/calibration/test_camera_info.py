@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 
 import numpy as np
 import pytest
@@ -125,6 +126,16 @@ def test_damage_anywhere_is_refused_or_harmless(place, junk):
 def test_what_is_no_camera_info_is_refused(text):
     with pytest.raises(CalibrationError):
         parse_camera_info(text)
+
+
+def test_aliases_that_expand_are_not_shown():
+    # The error would show the value.
+    bomb = 'v0: &v0 [many, many]\n'
+    bomb += ''.join(f'v{n}: &v{n} [{", ".join([f"*v{n - 1}"] * 20)}]\n' for n in range(1, 5))
+    text = re.sub(r'image_width: \d+', 'image_width: *v4', OTHERS, count=1)
+    with pytest.raises(CalibrationError) as caught:
+        parse_camera_info(bomb + text)
+    assert len(str(caught.value)) < 1000
 
 
 def test_a_cut_off_file_is_refused(tmp_path):

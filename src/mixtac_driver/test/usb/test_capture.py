@@ -26,6 +26,7 @@ from mixtac_driver.usb.capture import (
     DEVICE,
     GET_DESCRIPTOR,
     HEADER,
+    MEMBER,
     PACKET,
     SERIAL,
     CaptureWriter,
@@ -248,6 +249,23 @@ def test_a_capture_that_was_cut_ends_at_its_last_packet(captured, tmp_path):
 def test_other_files_are_refused(content, tmp_path):
     path = tmp_path / 'other.pcap'
     path.write_bytes(content)
+    with pytest.raises(RecordingError):
+        read_capture(path)
+
+
+@pytest.mark.parametrize('method', [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_bundle_that_cannot_be_unpacked_is_refused(method, tmp_path):
+    path = tmp_path / 'bundle.zip'
+    with zipfile.ZipFile(path, 'w', method) as archive:
+        archive.writestr(MEMBER, bytes(1000))
+    data = bytearray(path.read_bytes())
+    if method == zipfile.ZIP_DEFLATED:
+        at = data.index(MEMBER.encode()) + len(MEMBER)
+        data[at : at + 8] = b'\xff' * 8
+    else:
+        # Marked as encrypted.
+        data[6] = data[data.index(b'PK\x01\x02') + 8] = 1
+    path.write_bytes(data)
     with pytest.raises(RecordingError):
         read_capture(path)
 
