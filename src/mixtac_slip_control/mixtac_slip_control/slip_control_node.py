@@ -236,7 +236,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         return 1e-9 * stamp_to_ns(header.stamp) or self._now_s()
 
     def close(self) -> None:
-        """Bring the arm to rest and release it."""
+        """Let a gripper close no further; bring the arm to rest and release it."""
+        self._ask_gripper(None)
         if self._backend is not None:
             self._backend.stop()
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import threading
 import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -163,6 +164,12 @@ class Peer:
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self.send(quiet(20))
+
+    def go_on(self) -> None:
+        """Send a window of a still contact, even if nobody receives it."""
+        self._send_inputs()
+        self._send_packet(30)
+        self.executor.spin_once(timeout_sec=0.002)
 
     def send_frame(self) -> None:
         """Send a frame that is brighter to the right."""
@@ -326,6 +333,29 @@ def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None
     # It never falls while the object is held: a margin that becomes better known loosens nothing.
     assert asked[-1].data[0] >= states[-1].wanted_force > peer.force
     assert asked[-1].data[0] <= 1.0
+
+
+def test_a_gripper_closes_no_further_when_slip_control_ends(node_under_test: Any) -> None:
+    from std_msgs.msg import Float64MultiArray
+
+    from mixtac_msgs.msg import ForceQuality
+    from mixtac_node.base_node import QOS_FORCE
+
+    peer, graph = Peer(node_under_test), node_under_test
+    quality = graph.node.create_publisher(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
+    asked = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
+    peer.pull = 0.3
+    peer.start('gripper:=speed', 'gripper_rate:=100.0')
+    graph.spin_until(quality.get_subscription_count)
+    quality.publish(ForceQuality(valid=True, sideways_known=True, deviation=0.05))
+    graph.spin_until(lambda: peer.send(quiet(20)) and asked and asked[-1].data[0] > 0.0)
+    ending = threading.Thread(target=graph.stop)
+    ending.start()
+    while ending.is_alive():
+        peer.go_on()
+    for _ in range(50):
+        peer.executor.spin_once(timeout_sec=0.01)
+    assert asked[-1].data[0] == 0.0
 
 
 def test_the_status_says_what_is_missing() -> None:
