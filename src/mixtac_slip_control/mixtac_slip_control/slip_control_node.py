@@ -409,7 +409,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         elif not self._controller.enabled:
             self._controller.enable(now_s, settling_s=settling_s)
             if self._arm is not None:
-                self._send(settling_trajectory(self._arm.arm, state.q, now_s, settling_s))
+                start = self._arm.planner.start
+                self._send(settling_trajectory(self._arm.arm, start, now_s, settling_s))
         self._moving = True
         return 'slip control enabled'
 

@@ -52,6 +52,9 @@ class Arm:
         if (HERE / 'broken').exists():
             raise BackendError('the arm is broken')
         q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+        if (HERE / 'unknown').exists():
+            q += np.random.default_rng().normal(0.0, 1e-4, 7)
+            return ArmState(time.time(), q, np.zeros(7))
         return ArmState(time.time(), q, np.zeros(7), q + 1e-3)
 
     def send(self, trajectory):
@@ -298,6 +301,19 @@ def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
     peer.graph.spin_until(lambda: len(peer.heard) > 2)
     assert {m.state for m in peer.heard} == {states[-1].STOPPED}
     assert all('broken' in m.reason for m in peer.heard)
+
+
+def test_the_plan_begins_where_the_controller_was_led(node_under_test: Any, arm: Path) -> None:
+    (arm / 'unknown').touch()  # what it commands; what it measures has noise
+    peer = Peer(node_under_test)
+    peer.start('arm_backend:=recorded', trajectories=False)
+    peer.send(quiet(400))
+    answer = peer.enable(wanted=True)
+    assert answer.success, answer.message
+    peer.rest(0.3)
+    peer.send([30, 600, 600, *quiet(40)])
+    led, planned = [json.loads(line) for line in (arm / 'log').read_text().splitlines()][:2]
+    assert np.allclose(planned[0], led[-1], rtol=0.0, atol=1e-9)
 
 
 def check_trajectory(message: Any) -> None:
