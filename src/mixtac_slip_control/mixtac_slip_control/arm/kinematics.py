@@ -315,7 +315,9 @@ class SerialArm:
             remaining = float(np.max(np.abs(error)))
             pinv = damped_inverse(jacobian, max(DAMPING * min(remaining, 1.0), LEAST_DAMPING))
             back = start - solution
-            back = back - pinv @ (jacobian @ back)
+            # Twice: what damping leaves of it the first time would keep the tip from its pose.
+            for _ in range(2):
+                back = back - pinv @ (jacobian @ back)
             if remaining <= TOLERANCE and np.max(np.abs(back)) <= 100.0 * TOLERANCE:
                 return solution
             step = pinv @ error + back
