@@ -181,8 +181,8 @@ class ContactStiffness:
 
 PRECISION: Final = 0.06
 """Relative standard deviation of the stiffness at which the probe returns."""
-PROBE_WINDOWS: Final = 150
-"""Windows after which the probe returns, whatever was learned."""
+PROBE_S: Final = 0.15
+"""Time after which the probe returns, whatever was learned [s]."""
 
 
 class StiffnessProbe:
@@ -191,7 +191,7 @@ class StiffnessProbe:
     Args:
         parameters: How far and how fast.
         precision: Relative standard deviation of the stiffness that is good enough.
-        windows: Windows after which it returns, whatever was learned.
+        longest_s: Time after which it returns, whatever was learned [s].
 
     Attributes:
         advance: Wanted advance of the probe [m].
@@ -203,10 +203,10 @@ class StiffnessProbe:
         self,
         parameters: SlipControlParameters,
         precision: float = PRECISION,
-        windows: int = PROBE_WINDOWS,
+        longest_s: float = PROBE_S,
     ) -> None:
         self._parameters = parameters
-        self._precision, self._most = precision, windows
+        self._precision, self._longest_s = precision, longest_s
         self.advance = 0.0
         self.active = self.measured = False
         self._windows = 0
@@ -243,7 +243,8 @@ class StiffnessProbe:
             self.advance = max(self.advance - step, 0.0)
             self.active = self.advance > 0.0
             return
-        self.measured = deviation <= self._precision * stiffness or self._windows >= self._most
+        late = self._windows >= p.windows(self._longest_s)
+        self.measured = late or deviation <= self._precision * stiffness
         waits = stiffness * self.advance >= p.probe_force
         self.advance = min(
             self.advance + (0.0 if waits else step), p.probe_advance, max(limit, 0.0)

@@ -236,7 +236,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         return 1e-9 * stamp_to_ns(header.stamp) or self._now_s()
 
     def close(self) -> None:
-        """Bring the arm to rest and release it."""
+        """Let a gripper close no further; bring the arm to rest and release it."""
+        self._ask_gripper(None)
         if self._backend is not None:
             self._backend.stop()
 
@@ -408,7 +409,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         elif not self._controller.enabled:
             self._controller.enable(now_s, settling_s=settling_s)
             if self._arm is not None:
-                self._send(settling_trajectory(self._arm.arm, state.q, now_s, settling_s))
+                start = self._arm.planner.start
+                self._send(settling_trajectory(self._arm.arm, start, now_s, settling_s))
         self._moving = True
         return 'slip control enabled'
 

@@ -123,7 +123,7 @@ def test_no_room_is_no_advance() -> None:
 
 
 def started() -> StiffnessProbe:
-    probe = StiffnessProbe(PARAMETERS, precision=0.1, windows=30)
+    probe = StiffnessProbe(PARAMETERS, precision=0.1, longest_s=0.03)
     probe.start()
     return probe
 
@@ -137,6 +137,18 @@ def test_it_goes_out_waits_and_comes_back_in_its_steps() -> None:
     assert max(abs(b - a) for a, b in itertools.pairwise(places)) <= 1.0001e-6
     assert len(places) == pytest.approx(1 + 30 + 10, abs=1)
     assert places[-1] == 0.0
+
+
+@pytest.mark.parametrize('window_s', [2e-4, 1e-3, 1e-2])
+def test_it_takes_a_quarter_of_a_second_at_most_whatever_the_window(window_s: float) -> None:
+    probe = StiffnessProbe(SlipControlParameters(window=window_s, max_events_age=0.05))
+    probe.start()
+    windows, most = 0, 0.0
+    while probe.active:
+        probe.update(1e3, 1e3, 1.0)
+        windows, most = windows + 1, max(most, probe.advance)
+    assert windows * window_s <= 0.28
+    assert most == pytest.approx(5e-5)
 
 
 def test_it_returns_as_soon_as_the_stiffness_is_known() -> None:

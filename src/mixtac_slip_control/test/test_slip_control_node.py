@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import threading
 import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,9 @@ class Arm:
         if (HERE / 'broken').exists():
             raise BackendError('the arm is broken')
         q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+        if (HERE / 'unknown').exists():
+            q += np.random.default_rng().normal(0.0, 1e-4, 7)
+            return ArmState(time.time(), q, np.zeros(7))
         return ArmState(time.time(), q, np.zeros(7), q + 1e-3)
 
     def send(self, trajectory):
@@ -163,6 +167,12 @@ class Peer:
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self.send(quiet(20))
+
+    def go_on(self) -> None:
+        """Send a window of a still contact, even if nobody receives it."""
+        self._send_inputs()
+        self._send_packet(30)
+        self.executor.spin_once(timeout_sec=0.002)
 
     def send_frame(self) -> None:
         """Send a frame that is brighter to the right."""
@@ -293,6 +303,19 @@ def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
     assert all('broken' in m.reason for m in peer.heard)
 
 
+def test_the_plan_begins_where_the_controller_was_led(node_under_test: Any, arm: Path) -> None:
+    (arm / 'unknown').touch()  # what it commands; what it measures has noise
+    peer = Peer(node_under_test)
+    peer.start('arm_backend:=recorded', trajectories=False)
+    peer.send(quiet(400))
+    answer = peer.enable(wanted=True)
+    assert answer.success, answer.message
+    peer.rest(0.3)
+    peer.send([30, 600, 600, *quiet(40)])
+    led, planned = [json.loads(line) for line in (arm / 'log').read_text().splitlines()][:2]
+    assert np.allclose(planned[0], led[-1], rtol=0.0, atol=1e-9)
+
+
 def check_trajectory(message: Any) -> None:
     """Hold a trajectory against what joint_trajectory_controller asks for."""
     assert list(message.joint_names) == NAMES
@@ -326,6 +349,29 @@ def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None
     # It never falls while the object is held: a margin that becomes better known loosens nothing.
     assert asked[-1].data[0] >= states[-1].wanted_force > peer.force
     assert asked[-1].data[0] <= 1.0
+
+
+def test_a_gripper_closes_no_further_when_slip_control_ends(node_under_test: Any) -> None:
+    from std_msgs.msg import Float64MultiArray
+
+    from mixtac_msgs.msg import ForceQuality
+    from mixtac_node.base_node import QOS_FORCE
+
+    peer, graph = Peer(node_under_test), node_under_test
+    quality = graph.node.create_publisher(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
+    asked = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
+    peer.pull = 0.3
+    peer.start('gripper:=speed', 'gripper_rate:=100.0')
+    graph.spin_until(quality.get_subscription_count)
+    quality.publish(ForceQuality(valid=True, sideways_known=True, deviation=0.05))
+    graph.spin_until(lambda: peer.send(quiet(20)) and asked and asked[-1].data[0] > 0.0)
+    ending = threading.Thread(target=graph.stop)
+    ending.start()
+    while ending.is_alive():
+        peer.go_on()
+    for _ in range(50):
+        peer.executor.spin_once(timeout_sec=0.01)
+    assert asked[-1].data[0] == 0.0
 
 
 def test_the_status_says_what_is_missing() -> None:

@@ -186,6 +186,11 @@ class FollowingWatch:
         if p.lead >= UNWATCHED_LEAD_S:
             return None
         transport_s = self.transport_s
+        if transport_s < 0.0:
+            return (
+                f'the state of the controller comes {-1e3 * transport_s:.1f} ms before its time: '
+                f'set the clocks of both hosts, which lead = {1e3 * p.lead:g} ms needs'
+            )
         if not transport_s + 2.0 * p.controller_period <= p.lead:
             measured = 'not measured yet' if math.isnan(transport_s) else f'{1e3 * transport_s:.1f}'
             return (

@@ -65,8 +65,8 @@ def read_chain(text: str) -> tuple[UrdfJoint, ...]:
         text: The URDF.
 
     Raises:
-        RobotDescriptionError: No URDF, a branching chain, or a joint of a kind that a serial arm
-            has no use for.
+        RobotDescriptionError: No URDF, a branching chain, a joint or child that occurs twice, or a
+            joint that follows another one or is of a kind that a serial arm has no use for.
     """
     if '<!DOCTYPE' in text:
         raise RobotDescriptionError(
@@ -79,6 +79,12 @@ def read_chain(text: str) -> tuple[UrdfJoint, ...]:
     if root.tag != 'robot':
         raise RobotDescriptionError(f'the URDF starts with <{root.tag}>: give one with <robot>')
     joints = [_joint(element) for element in root.findall('joint')]
+    for what, named in (('joint', [j.name for j in joints]), ('child', [j.child for j in joints])):
+        if twice := sorted({name for name in named if named.count(name) > 1}):
+            raise RobotDescriptionError(
+                f'{what} {twice[0]!r} is in the URDF twice: give each joint a name and a child of '
+                'its own'
+            )
     by_child = {joint.child: joint for joint in joints}
     leaves = by_child.keys() - {joint.parent for joint in joints}
     if len(leaves) != 1:
@@ -105,6 +111,11 @@ def _joint(element: ET.Element) -> UrdfJoint:
     parent, child = element.find('parent'), element.find('child')
     if parent is None or child is None:
         raise RobotDescriptionError(f'joint {name!r} lacks its parent or child link')
+    if element.find('mimic') is not None:
+        raise RobotDescriptionError(
+            f'joint {name!r} follows another one (<mimic>), which a serial arm cannot: give a '
+            'chain of joints that move by themselves'
+        )
     origin, limit = element.find('origin'), element.find('limit')
     return UrdfJoint(
         name=name,
@@ -304,7 +315,9 @@ class SerialArm:
             remaining = float(np.max(np.abs(error)))
             pinv = damped_inverse(jacobian, max(DAMPING * min(remaining, 1.0), LEAST_DAMPING))
             back = start - solution
-            back = back - pinv @ (jacobian @ back)
+            # Twice: what damping leaves of it the first time would keep the tip from its pose.
+            for _ in range(2):
+                back = back - pinv @ (jacobian @ back)
             if remaining <= TOLERANCE and np.max(np.abs(back)) <= 100.0 * TOLERANCE:
                 return solution
             step = pinv @ error + back

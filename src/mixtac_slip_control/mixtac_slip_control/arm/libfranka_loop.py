@@ -22,6 +22,7 @@ import argparse
 import contextlib
 import gc
 import os
+import signal
 import struct
 import sys
 import time
@@ -370,6 +371,10 @@ def main() -> int:
         config = franka.RealtimeConfig
         checked = config.kEnforce if arguments.realtime else config.kIgnore
         robot = franka.Robot(arguments.address, checked)
+        # They reach every process of a terminal or service, and would cut a motion off. The process
+        # that sends trajectories asks for the end, or standard input ends with it.
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
         control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
         ControlLoop(control, franka.JointPositions, _read_input, _write_output).run()
         robot.stop()

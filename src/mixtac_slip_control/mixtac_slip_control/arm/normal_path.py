@@ -98,6 +98,8 @@ def exceeds(joints: Floats, jerk_limit: Floats, acceleration_limit: Floats, dt: 
 DEGREE = 8
 NODES = 13
 SAMPLES = 25
+PATH_RAD = 2e-5
+"""Largest difference of a joint on the path from where the advance needs it [rad]: about 10 um."""
 MAX_CURVE_SHARE = 0.25
 """Share of acceleration and jerk that the curvature of the path may take at full speed."""
 TYPICAL_SPEED = 0.06
@@ -231,6 +233,12 @@ def fit_normal_path(
     path = NormalPath(direction, lower, upper, coefficients)
     # Advance zero is where the arm stands, to the last bit that the polynomial can hold.
     path.coefficients[0] += start - path.derivatives(0.0)[0]
+    places = np.array([path.derivatives(advance)[0] for advance in advances])
+    if np.abs(places - solutions).max() > PATH_RAD:
+        raise UnreachableError(
+            f'an advance of {upper * 1e3:.2f} mm comes too near to a singularity: choose another '
+            'posture or a smaller max_advance'
+        )
     return path
 
 

@@ -139,6 +139,14 @@ def test_a_short_lead_needs_a_controller_that_says_what_it_commands_soon_enough(
     assert 'transport' in str(chain.watch.reason_not_to_enable(chain.now_s, chain.now_s))
 
 
+def test_a_short_lead_is_refused_where_the_clocks_of_the_hosts_differ() -> None:
+    chain = Chain(lead=3e-3, transport_s=5e-4)
+    for _ in range(120):
+        chain.step(0.0, age_s=-2e-3)
+    assert chain.watch.transport_s == pytest.approx(-2e-3)
+    assert chain.watch.reason_not_to_enable(chain.now_s, chain.now_s) is not None
+
+
 def test_a_controller_that_moves_cannot_be_taken_over() -> None:
     chain = Chain()
     chain.watch.on_commanded(READY, START_S, START_S)

@@ -47,6 +47,13 @@ def test_the_inverse_reaches_what_the_arm_can_reach(shift, posture):
     assert np.abs(found - q).max() < 1.0
 
 
+def test_the_inverse_is_reached_far_from_the_posture_to_stay_near():
+    q = READY + np.array([0.0, 0.0, 0.0, -0.25, 0.0, 0.0, 0.0])
+    wanted = ARM.pose(q)
+    wanted[0, 3] -= 0.046875
+    assert np.allclose(ARM.pose(ARM.solve(wanted, q)), wanted, atol=1e-12)
+
+
 def test_prismatic_and_fixed_joints_and_tools_count():
     text = """<robot name="r">
       <joint name="turn" type="continuous"><parent link="a"/><child link="b"/>

@@ -10,6 +10,7 @@ JOINT = (
     '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>'
     '<axis xyz="{4}"/><limit lower="-1" upper="1" velocity="2" effort="3"/></joint>'
 )
+TURNING = JOINT.format('a', 'revolute', 'l0', 'l1', '0 0 1')
 
 
 def robot(*joints):
@@ -47,6 +48,9 @@ def test_a_chain_is_read_from_root_to_leaf_and_branches_are_refused():
         robot(JOINT.format('a', 'revolute', 'l0', 'l1', '0 nan 0')),
         robot(JOINT.format('a', 'revolute', 'l0', 'l1', '1 0')),
         robot('<joint name="a" type="fixed"/>'),
+        robot(TURNING.replace('</joint>', '<mimic joint="b" multiplier="-1"/></joint>')),
+        robot(TURNING, JOINT.format('a', 'revolute', 'l1', 'l2', '0 0 1')),
+        robot(TURNING, JOINT.format('b', 'revolute', 'base', 'l1', '0 0 1')),
         robot(JOINT.format('a', 'revolute', 'l0', 'l1', '0 0 1').replace('"2"', '"x"')),
     ],
 )

@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The control loop against a fake robot that extrapolates lost cycles as Franka documents it."""
 
+import os
+import signal
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -132,3 +136,56 @@ def test_bytes_are_cut_into_trajectories_wherever_they_are_split():
     assert not receiver.stopped
     assert receiver.push(STOP) is None
     assert receiver.stopped
+
+
+# What the loop uses of pylibfranka, for an arm that stands where it is commanded.
+LIBRARY = """
+import time
+from types import SimpleNamespace
+
+RealtimeConfig = ControllerMode = SimpleNamespace(kEnforce=1, kIgnore=0, JointImpedance=0)
+
+def JointPositions(q):
+    return SimpleNamespace(q=q, motion_finished=False)
+
+class Robot:
+    def __init__(self, address, checked):
+        self.q = [0.0] * 7
+
+    def start_joint_position_control(self, mode):
+        return self
+
+    def readOnce(self):
+        time.sleep(1e-3)
+        rest = [0.0] * 7
+        state = SimpleNamespace(q=self.q, dq=rest, q_d=self.q, dq_d=rest, ddq_d=rest)
+        return state, SimpleNamespace(to_sec=lambda: 1e-3)
+
+    def writeOnce(self, command):
+        self.q = command.q
+
+    def stop(self):
+        pass
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_all_processes_of_a_terminal_cuts_no_motion_off(tmp_path, number):
+    (tmp_path / 'pylibfranka.py').write_text(LIBRARY)
+    path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+    loop = subprocess.Popen(
+        [sys.executable, '-m', 'mixtac_slip_control.arm.libfranka_loop', 'somewhere'],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': path},
+    )
+    with loop:
+        loop.stdout.read(STATE.size)
+        loop.send_signal(number)
+        before_ns = STATE.unpack(loop.stdout.read(STATE.size))[0]
+        while STATE.unpack(loop.stdout.read(STATE.size))[0] < before_ns + 100_000_000:
+            pass
+        loop.stdin.write(STOP)
+        loop.stdin.flush()
+        loop.stdout.read()
+    assert loop.returncode == 0

@@ -156,6 +156,15 @@ def test_an_advance_beyond_the_reach_is_refused_at_the_reset():
         planner.reset(READY, X, 1.0)
 
 
+def test_an_advance_to_where_the_elbow_is_nearly_stretched_is_refused_at_the_reset():
+    """The joints reach it, but bend more than the path can hold: the tip would leave the line."""
+    q = np.array([0.0, 0.6, 0.0, -0.95, 0.0, 1.7, 0.785])
+    planner, outwards = AdvancePlanner(ARM, LIMITS), ARM.pose(q)[:3, 3] - (0.0, 0.0, 0.333)
+    with pytest.raises(UnreachableError):
+        planner.reset(q, outwards, 0.02)
+    planner.reset(q, outwards, 0.002)
+
+
 def test_the_largest_advance_is_that_of_the_reset(planner):
     planner.reset(READY, X, 2e-3)
     with pytest.raises(UnreachableError):
