@@ -221,7 +221,7 @@ def fit_normal_path(
         if problem is not None:
             raise UnreachableError(
                 f'an advance of {advance * 1e3:.2f} mm needs {problem}: choose another posture or '
-                'a smaller max_advance'
+                'a smaller max_total'
             )
     columns = [
         Chebyshev.fit(nodes, column, DEGREE, domain=[-1, 1]).convert(kind=Polynomial).coef
@@ -237,7 +237,7 @@ def fit_normal_path(
     if np.abs(places - solutions).max() > PATH_RAD:
         raise UnreachableError(
             f'an advance of {upper * 1e3:.2f} mm comes too near to a singularity: choose another '
-            'posture or a smaller max_advance'
+            'posture or a smaller max_total'
         )
     return path
 
