@@ -386,9 +386,8 @@ def test_a_patient_sensor_lets_no_time_pass_before_a_scenario_is_known(host, clo
     wait_for(lambda: simulation.until >= 800_000)
     for _ in range(300):
         host.ns += 1_000_000
-        time.sleep(0.0002)
+        wait_for(lambda: sensor.state().late_us < 3_000)
     assert sensor.state().computing
-    assert sensor.state().late_us < 100_000
     assert clock.now_us() < 100_000
     # The scenario cannot be known before it is computed: no fault of the host.
     assert sensor.state().overruns == before.overruns
