@@ -184,7 +184,7 @@ def read_recording(
         GapError: A clock went back or began anew, or the camera's went ahead by hours.
     """
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
-    events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
+    events, image, exposure, edge, other = (topics.absolute(name, namespace) for name in names)
     needed = () if edges_only else (events, reference)
     packets, frames = PacketCollector(LONGEST_S), FrameHistory(LONGEST_S)
     images: dict[int, NDArray[np.float32]] = {}
@@ -426,7 +426,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
     """
     check_new(out)
     types, changed = typestore(), 0
-    fit_topic = f'{namespace}/clock_fit'
+    fit_topic = topics.CLOCK_FIT.resolved(namespace)
     with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
         writer.custom_data.update(custom_data(bag))
         copied = {c.topic: c for c in source.connections if c.topic != fit_topic}

@@ -108,7 +108,6 @@ def align(
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
     console, many = Console(), len(found) > 1
-    namespace = f'/{namespace.strip("/")}'
     timings: dict[Path, SensorTiming] = {}
     if pool and many and method in POOLED:
         names = track(found, 'estimating sensor timing', console=console)

@@ -96,7 +96,7 @@ class Receiver(ExitStack):
 
     def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
         super().__init__()
-        self._namespace = f'/{namespace.strip("/")}'.rstrip('/')
+        self._namespace = namespace
         self._node = self.enter_context(CommandNode.opened(name, namespace))
         self._stopping = threading.Event()
         self.callback(self._stop)
@@ -149,7 +149,7 @@ class Monitor(Receiver):
         """
         LifecycleClient(
             self._node,
-            f'{self._namespace}/{name}',
+            topics.absolute(name, self._namespace),
             processes.check,
             lambda: processes.last_error(name),
             timeout_s=math.inf,
@@ -178,7 +178,7 @@ class Monitor(Receiver):
         """
         reply = self._call(Trigger, service, Trigger.Request(), alive)
         if not reply.success:
-            raise GraphError(f'{self._namespace}/{service}: {reply.message}')
+            raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 
     def set_parameters(
         self, node: str, values: Mapping[str, object], alive: Callable[[], None]
@@ -195,15 +195,15 @@ class Monitor(Receiver):
         service = f'{node}/set_parameters'
         for result in self._call(SetParameters, service, request, alive).results:
             if not result.successful:
-                raise GraphError(f'{self._namespace}/{node}: {result.reason}')
+                raise GraphError(f'{topics.absolute(node, self._namespace)}: {result.reason}')
 
     def _call(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> Any:  # noqa: ANN401
         # One client for all calls: the answer to a new one can get lost while it is discovered.
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
-        client = self._clients[service]
+        client, name = self._clients[service], topics.absolute(service, self._namespace)
         if not client.wait_for_service(timeout_sec=SERVICE_TIMEOUT_S):
-            raise GraphError(f'service {self._namespace}/{service} did not appear')
+            raise GraphError(f'service {name} did not appear')
         future = client.call_async(request)
         deadline = time.monotonic() + SERVICE_TIMEOUT_S
         while not future.done():
@@ -213,7 +213,7 @@ class Monitor(Receiver):
             else:
                 rclpy.spin_once(self._node, timeout_sec=0.1)
             if time.monotonic() > deadline:
-                raise GraphError(f'service {self._namespace}/{service} did not answer')
+                raise GraphError(f'service {name} did not answer')
         return future.result()
 
     def wait_for_force(self, check: Callable[[], None]) -> None:
@@ -237,7 +237,7 @@ class Monitor(Receiver):
 
     def values(self, node: str) -> dict[str, str]:
         """Return the latest diagnostics of a node of the sensor by key, and its `message`."""
-        return self.diagnostics.get(f'{self._namespace}/{node}'.lstrip('/'), {})
+        return self.diagnostics.get(topics.absolute(node, self._namespace).lstrip('/'), {})
 
     @property
     def force_count(self) -> int:

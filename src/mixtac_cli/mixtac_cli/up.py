@@ -33,7 +33,7 @@ from mixtac_node.graph import (
     slip_control,
 )
 from mixtac_node.process import ProcessGroup, claim_nodes, ros_domain
-from mixtac_node.topics import DEFAULT_NAMESPACE
+from mixtac_node.topics import DEFAULT_NAMESPACE, absolute
 
 POLL_S = 0.2
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
@@ -53,7 +53,7 @@ def start_nodes(
         GraphError: A package is not built, a parameter file does not exist, one of the nodes runs
             already, or `ROS_DOMAIN_ID` is not a number.
     """
-    names = [f'/{namespace.strip("/")}'.rstrip('/') + f'/{node.name}' for node in nodes]
+    names = [absolute(node.name, namespace) for node in nodes]
     for claim in claim_nodes(names, ros_domain()):
         claim.close()
     for node in nodes:

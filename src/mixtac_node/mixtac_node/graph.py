@@ -22,7 +22,7 @@ from ament_index_python.packages import (
 
 from mixtac_node.files import read_data
 from mixtac_node.process import GraphError
-from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic
+from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,7 +397,7 @@ def rosbag2_qos(
     overrides: dict[str, dict[str, object]] = {}
     for topic in TOPICS:
         name = reference_topic if topic.name == REFERENCE else topic.name
-        overrides[replace(topic, name=name).resolved(namespace)] = {
+        overrides[absolute(name, namespace)] = {
             'history': 'keep_last',
             'depth': 1 if topic.latched else max(ROSBAG2_DEPTH, 5 * topic.depth),
             'reliability': 'reliable' if topic.reliable else 'best_effort',

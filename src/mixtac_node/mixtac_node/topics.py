@@ -62,9 +62,18 @@ class Topic:
 
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
-        space = namespace.strip('/')
-        name = f'{space}/{self.name}' if space else self.name
-        return self.name if self.name.startswith('/') else f'/{name}'
+        return absolute(self.name, namespace)
+
+
+def absolute(name: str, namespace: str) -> str:
+    """Return the absolute name of a topic, service or node.
+
+    Args:
+        name: Its name; an absolute one stays as it is.
+        namespace: Its namespace, with or without a leading slash.
+    """
+    space = namespace.strip('/')
+    return name if name.startswith('/') else f'/{space}/{name}' if space else f'/{name}'
 
 
 CAMERA_FRAME = 'camera'

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_node.topics import EVENTS, WrenchWriter
+from mixtac_node.topics import EVENTS, WrenchWriter, absolute
 
 
 def test_a_topic_lies_in_its_namespace_or_in_the_outermost_one():
@@ -39,3 +39,17 @@ def test_ros_reads_what_was_written(frame_id, stamp_ns, wrench):
     expected.wrench.force = Vector3(x=wrench[0], y=wrench[1], z=wrench[2])
     expected.wrench.torque = Vector3(x=wrench[3], y=wrench[4], z=wrench[5])
     assert found == expected
+
+
+@pytest.mark.parametrize(
+    ('name', 'namespace', 'expected'),
+    [
+        ('force', 'mixtac', '/mixtac/force'),
+        ('force', '/left/mixtac/', '/left/mixtac/force'),
+        ('force', '/', '/force'),
+        ('force', '', '/force'),
+        ('/ft_sensor/wrench', 'mixtac', '/ft_sensor/wrench'),
+    ],
+)
+def test_a_name_is_made_absolute_in_its_namespace(name, namespace, expected):
+    assert absolute(name, namespace) == expected
