@@ -331,19 +331,25 @@ def check_trajectory(message: Any) -> None:
     assert 0.0 <= age < 60.0
 
 
-def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None:
+def asked_of_gripper(peer: Peer, graph: Any, law: str) -> list[Any]:
+    """Start slip control with a gripper and a valid force that pulls; return what it asks for."""
     from std_msgs.msg import Float64MultiArray
 
     from mixtac_msgs.msg import ForceQuality
     from mixtac_node.base_node import QOS_FORCE
 
-    peer, graph = Peer(node_under_test), node_under_test
     quality = graph.node.create_publisher(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
-    asked = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
+    asked: list[Any] = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
     peer.pull = 0.3
-    peer.start('gripper:=force', 'gripper_rate:=100.0')
+    peer.start(f'gripper:={law}', 'gripper_rate:=100.0')
     graph.spin_until(quality.get_subscription_count)
     quality.publish(ForceQuality(valid=True, sideways_known=True, deviation=0.05))
+    return asked
+
+
+def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None:
+    peer, graph = Peer(node_under_test), node_under_test
+    asked = asked_of_gripper(peer, graph, 'force')
     graph.spin_until(lambda: peer.send(quiet(20)) and asked)
     states = peer.send(quiet(600))
     # It never falls while the object is held: a margin that becomes better known loosens nothing.
@@ -352,18 +358,8 @@ def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None
 
 
 def test_a_gripper_closes_no_further_when_slip_control_ends(node_under_test: Any) -> None:
-    from std_msgs.msg import Float64MultiArray
-
-    from mixtac_msgs.msg import ForceQuality
-    from mixtac_node.base_node import QOS_FORCE
-
     peer, graph = Peer(node_under_test), node_under_test
-    quality = graph.node.create_publisher(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
-    asked = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
-    peer.pull = 0.3
-    peer.start('gripper:=speed', 'gripper_rate:=100.0')
-    graph.spin_until(quality.get_subscription_count)
-    quality.publish(ForceQuality(valid=True, sideways_known=True, deviation=0.05))
+    asked = asked_of_gripper(peer, graph, 'speed')
     graph.spin_until(lambda: peer.send(quiet(20)) and asked and asked[-1].data[0] > 0.0)
     ending = threading.Thread(target=graph.stop)
     ending.start()
