@@ -14,6 +14,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixtac_fger.recent_events import (
+    COLUMN_BIT,
+    COORDINATE,
+    PLACE,
+    ROW_BIT,
+    TIME,
+    TIME_BIT,
+    Packed,
+    bin_of,
+    inverse_of,
+)
+
 F32 = NDArray[np.float32]
 
 TILE_ROWS, TILE_COLUMNS = 6, 8
@@ -186,30 +198,36 @@ MOST_EVENTS_PER_PIXEL = np.float64(2.0)
 """Events of a pixel of a bin between two frames beyond which more count as so many: hot pixels."""
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
-def add_signs(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    polarity: NDArray[np.bool_],
-    size: int,
-    out: F32,
-) -> None:
-    """Add ON less OFF events per pixel to bins.
+@njit(cache=True, nogil=True, fastmath={'reassoc', 'contract', 'nsz'})
+def add_signs(events: Packed, size: int, out: F32, total: F32) -> tuple[int, float]:
+    """Find ON less OFF events per pixel in bins, and add them to those of before.
 
     Args:
-        x: Columns, uint16 [n].
-        y: Rows, uint16 [n].
-        polarity: True where brighter, bool [n].
+        events: int64 [n].
         size: Pixels of a bin along each axis.
-        out: float32 [rows, columns] of bins.
+        out: Written: those of these events, float32 [rows, columns] of bins.
+        total: Those of before, same shape; changed in place.
+
+    Returns:
+        Number of ON events, and ON less OFF events, or the reverse, over all bins.
     """
     rows, columns = out.shape
     share = np.float32(1.0 / (size * size))
-    pixels = np.uint32(size)  # fast to divide by
-    for index in range(x.shape[0]):
-        row, column = y[index] // pixels, x[index] // pixels
+    inverse = inverse_of(size)
+    brighter = 0
+    out[:] = 0.0
+    for event in events:
+        row = bin_of((event >> ROW_BIT) & COORDINATE, inverse)
+        column = bin_of((event >> COLUMN_BIT) & COORDINATE, inverse)
+        brighter += event & 1
         if row < rows and column < columns:
-            out[row, column] += share if polarity[index] else -share
+            out[row, column] += share if event & 1 else -share
+    one_way = np.float64(0.0)
+    for row in range(rows):
+        for column in range(columns):
+            total[row, column] += out[row, column]
+            one_way += abs(out[row, column])
+    return brighter, one_way * (size * size)
 
 
 MARKED_BITS, MOST_MARKS = 5, 32
@@ -217,55 +235,43 @@ MARKED_BITS, MOST_MARKS = 5, 32
 
 
 @njit(cache=True, nogil=True)
-def marks(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    polarity: NDArray[np.bool_],
-    out: NDArray[np.uint64],
-) -> tuple[int, int, int]:
+def marks(events: Packed, out: NDArray[np.uint64]) -> tuple[int, int, int, int]:
     """Find places in a stream of events by which it is known again, wherever it is cut.
 
     A mark is a hash of four events in a row, and of the time from the first to the last; no pixel
     may be among them twice, since a few hot pixels come again and again.
 
     Args:
-        t: Times [us], int64 [n].
-        x: Columns, uint16 [n].
-        y: Rows, uint16 [n].
-        polarity: True where brighter, bool [n].
+        events: int64 [n].
         out: Room for marks, uint64 [m].
 
     Returns:
-        Number of marks, m at most; how many events are the one before once more; and how many
-        different times the events have.
+        Number of marks, m at most; number of ON events; how many events are the one before once
+        more; and how many different times follow one another.
     """
-    found = twice = 0
-    times = min(x.shape[0], 1)
-    for index in range(1, x.shape[0]):
-        alike = x[index] == x[index - 1] and y[index] == y[index - 1]
-        later = t[index] != t[index - 1]
-        times += later
-        twice += alike and not later and polarity[index] == polarity[index - 1]
-    for index in range(x.shape[0] - 3):
-        if found == out.shape[0]:
-            break
-        alike = False
-        for place in range(index, index + 3):
-            for other in range(place + 1, index + 4):
-                alike |= x[place] == x[other] and y[place] == y[other]
-        if alike:
+    found = brighter = twice = 0
+    times = min(events.shape[0], 1)
+    first = 0  # of the latest events without a pixel that is among them twice
+    for index in range(events.shape[0]):
+        event = events[index]
+        brighter += event & 1
+        if index:
+            twice += event == events[index - 1]
+            times += event >> TIME_BIT != events[index - 1] >> TIME_BIT
+        for other in range(max(index - 3, first), index):
+            if (event ^ events[other]) & PLACE <= 1:
+                first = other + 1
+        if index - 3 < first or found == out.shape[0]:
             continue
-        mark = np.uint64(t[index + 3] - t[index])
-        for place in range(index, index + 4):
-            pixel = (np.uint64(y[place]) << np.uint64(16)) | np.uint64(x[place])
-            mark ^= (pixel << np.uint64(1)) | np.uint64(polarity[place])
+        mark = np.uint64(((event >> TIME_BIT) - (events[index - 3] >> TIME_BIT)) & TIME)
+        for place in range(index - 3, index + 1):
+            mark ^= np.uint64(events[place] & PLACE)
             mark *= np.uint64(0x9E3779B97F4A7C15)
             mark ^= mark >> np.uint64(29)
         if mark >> np.uint64(64 - MARKED_BITS) == 0:
             out[found] = mark
             found += 1
-    return found, twice, times
+    return found, brighter, twice, times
 
 
 STRONG_CHANGE = 0.25
@@ -317,8 +323,8 @@ def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float,
 def warm_up() -> None:
     """Compile what a frame needs, so that the first one is not late."""
     contrast, flow = np.zeros((8, 8), np.float32), np.zeros((2, 8, 8), np.float32)
-    place = np.zeros(1, np.uint16)
+    event = np.zeros(1, np.int64)
     picture_figures(contrast, contrast, flow)
-    add_signs(place, place, np.ones(1, np.bool_), 4, contrast)
-    marks(np.zeros(1, np.int64), place, place, np.ones(1, np.bool_), np.empty(1, np.uint64))
+    add_signs(event, 4, contrast, contrast)
+    marks(event, np.empty(1, np.uint64))
     agreement(contrast, contrast, contrast)

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `validity` remembers of a stream: the latest windows, and what is known again.
 
-All memory is bounded.
+An event is kept as one integer, so that compiled code takes one array, and two events are compared
+at once. From the lowest bit on it holds the polarity, the column, the row and the low 31 bits of
+the time [us]. All memory is bounded.
 """
 
 from __future__ import annotations
@@ -21,6 +23,53 @@ MOST_PER_MS = 2048
 """Events of a window that are kept [1/ms]: in twice a blow nobody looks at more."""
 SPARSE = 8
 """Slots, at least, per mark that is remembered: one in eight at most is forgotten early."""
+
+Packed = NDArray[np.int64]
+"""Events, each as one integer; int64 [n]."""
+COLUMN_BIT, ROW_BIT, TIME_BIT = 1, 17, 33
+COORDINATE, PLACE, TIME = 2**16 - 1, 2**TIME_BIT - 1, 2**31 - 1
+"""Masks: of a coordinate, of row, column and polarity together, and of a time."""
+
+
+@njit(cache=True, nogil=True)
+def pack(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    out: Packed,
+) -> None:
+    """Write the first events, as many as there is room for.
+
+    Args:
+        t: Times [us], int64 [n].
+        x: Columns, uint16 [n].
+        y: Rows, uint16 [n].
+        polarity: True where brighter, bool [n].
+        out: int64 [n] at most.
+    """
+    for index in range(out.shape[0]):
+        place = (np.int64(y[index]) << ROW_BIT) | (np.int64(x[index]) << COLUMN_BIT)
+        out[index] = (t[index] << TIME_BIT) | place | np.int64(polarity[index])
+
+
+@njit(cache=True, nogil=True)
+def inverse_of(size: int) -> int:
+    """Return what `bin_of` multiplies by: divisions are what takes longest."""
+    return 2**32 // size + 1
+
+
+@njit(cache=True, nogil=True)
+def bin_of(coordinate: int, inverse: int) -> int:
+    """Return the bin of a coordinate below 2^16, of bins of the size of an inverse."""
+    return (coordinate * inverse) >> 32
+
+
+def packed(events: Events) -> Packed:
+    """Return events, each as one integer."""
+    out = np.empty(len(events), np.int64)
+    pack(events.t, events.x, events.y, events.polarity, out)
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -87,7 +136,7 @@ class RecentWindows:
     def __init__(self, window_us: int) -> None:
         self.most = max(MOST_PER_MS * window_us // 1000, 1)
         self._kept = -(-KEPT_US // window_us)
-        self._events = Events.empty(2 * self._kept * self.most)
+        self._events = np.empty(2 * self._kept * self.most, np.int64)
         self.clear()
 
     def clear(self) -> None:
@@ -105,20 +154,16 @@ class RecentWindows:
         """
         if len(self.numbers) == 2 * self._kept:
             self._forget_first(self._kept)
-        number = events.t.shape[0]
+        number, start = events.t.shape[0], self._starts[-1]
+        stop = start + min(number, self.most)
         self.ends_us.append(end_us)
         self.numbers.append(number)
-        if number > self.most:
-            events, number = events[: self.most], self.most
-        start, room = self._starts[-1], self._events
-        self._starts.append(start + number)
+        self._starts.append(stop)
         # In one place, so that no later step has to put windows together.
-        into = slice(start, start + number)
-        room.t[into], room.x[into], room.y[into] = events.t, events.x, events.y
-        room.polarity[into] = events.polarity
+        pack(events.t, events.x, events.y, events.polarity, self._events[start:stop])
 
-    def events(self, chosen: slice) -> Events:
-        """Return the events of windows, as views; of each the first `most`."""
+    def events(self, chosen: slice) -> Packed:
+        """Return the events of windows, as a view; of each the first `most`."""
         return self._events[self._starts[chosen.start] : self._starts[chosen.stop]]
 
     def latest(self, count: int) -> slice:
@@ -131,12 +176,12 @@ class RecentWindows:
 
     def _forget_first(self, count: int) -> None:
         kept = self._events[self._starts[count] : self._starts[-1]].copy()
-        for name in ('t', 'x', 'y', 'polarity'):
-            getattr(self._events, name)[: len(kept)] = getattr(kept, name)
+        self._events[: len(kept)] = kept
         self._starts = [start - self._starts[count] for start in self._starts[count:]]
         del self.ends_us[:count], self.numbers[:count]
 
 
 def warm_up() -> None:
     """Compile what a stretch needs, so that the first one is not late."""
+    packed(Events.empty())
     Known(1, 1).add(np.zeros(1, np.uint64))

@@ -205,7 +205,8 @@ class Validity:
         self._busy = self._vibrating = self._foreign = self._unlike = False
         self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
-        self._frames, self._marks = Known(FRAMES_KNOWN, 1), Known(STRETCHES_KNOWN, MOST_MARKS)
+        self._frames: deque[int] = deque(maxlen=FRAMES_KNOWN)
+        self._marks = Known(STRETCHES_KNOWN, MOST_MARKS)
         if self._pattern.missing:
             self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
 
@@ -244,12 +245,10 @@ class Validity:
         count = self._pattern.windows
         latest = self._windows.latest(count)
         stretch = self._windows.events(latest)
-        brighter = int(np.count_nonzero(stretch.polarity))
+        found, brighter, twice, times = marks(stretch, self._room)
         for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
             if number < least_number(count * rest):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        fields = stretch.t, stretch.x, stretch.y, stretch.polarity
-        found, twice, times = marks(*fields, self._room)
         known = self._marks.add(self._room[:found])
         wrong = known > MOST_KNOWN * max(found, LEAST_MARKS)
         wrong |= twice > max(MOST_TWICE * len(stretch), LEAST_TWICE)
@@ -335,7 +334,9 @@ class Validity:
         before_us, before = self._before
         self._before = mid_us, contrast
         mark = hash(contrast[::ROWS_APART].tobytes())
-        if self._frames.add(np.array([mark], np.int64).view(np.uint64)):
+        frozen = mark in self._frames
+        self._frames.append(mark)
+        if frozen:
             return {Reason.FRAME_FROZEN}
         if before is None or self._anchor is None:
             self._anchor, self._signs, self._age = contrast, np.zeros_like(contrast), 0
@@ -345,19 +346,17 @@ class Validity:
         if chosen is None:
             self._start_over()
             return set()
-        told = np.zeros_like(contrast)
+        told, events = np.empty_like(contrast), self._windows.events(chosen)
+        size = self._width // contrast.shape[1]
         # At once: a call of compiled code takes longer than the few events of a window.
-        events = self._windows.events(chosen)
-        add_signs(events.x, events.y, events.polarity, self._width // contrast.shape[1], told)
-        self._signs += told
+        brighter, net = add_signs(events, size, told, self._signs)
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
-        brighter = int(np.count_nonzero(events.polarity))
         signs = brighter, len(events) - brighter
         found = set()
         if not self._vibrating:
-            found = self._judge_pair(before, contrast, told, chosen, signs)
+            found = self._judge_pair(before, contrast, told, chosen, signs, net)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
         if strong >= STRONG_BINS and not self._busy:
             low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
@@ -372,7 +371,13 @@ class Validity:
         return found
 
     def _judge_pair(
-        self, before: F32, contrast: F32, told: F32, chosen: slice, signs: tuple[int, int]
+        self,
+        before: F32,
+        contrast: F32,
+        told: F32,
+        chosen: slice,
+        signs: tuple[int, int],
+        net: float,
     ) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
         if Reason.EVENTS_MISSING in self._held:
@@ -401,7 +406,7 @@ class Validity:
         step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
         self._untold = self._untold + step if untold else 0
         rest = still and not many and alone < AT_REST * murmur
-        one_way = size * size * float(np.abs(told).sum()) >= LEAST_ONE_WAY * sum(numbers)
+        one_way = net >= LEAST_ONE_WAY * sum(numbers)
         # No vibration that frames do not show, unless there always is one.
         rest &= one_way or sum(rates) <= AT_REST * sum(self._rest)
         if rest:

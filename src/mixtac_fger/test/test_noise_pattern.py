@@ -20,6 +20,7 @@ from mixtac_fger.noise_pattern import (
     pattern_sums,
     tiles_of,
 )
+from mixtac_fger.recent_events import Packed, packed
 
 WIDTH, HEIGHT, SIZE = 346, 260, 4
 SHAPE = HEIGHT // SIZE, WIDTH // SIZE
@@ -46,9 +47,13 @@ class Sensor:
         t = np.sort(self.random.integers(0, WINDOW_US, count))
         return Events(t, x.astype(np.uint16), y.astype(np.uint16), sign == 1)
 
-    def stretch(self) -> Events:
+    def events(self) -> Events:
         """Return the noise of a stretch."""
         return Events.concatenate([self.window() for _ in range(10)])
+
+    def stretch(self) -> Packed:
+        """Return the same as it is judged."""
+        return packed(self.events())
 
 
 def learnt(sensor: Sensor) -> NoisePattern:
@@ -64,12 +69,12 @@ def learn(pattern: NoisePattern, sensor: Sensor, stretches: int = LEARNT) -> Non
         pattern.learn(sensor.stretch(), SHAPE)
 
 
-def moving(events: Events, random: np.random.Generator, share: float, count: int = 4000) -> Events:
+def moving(events: Events, random: np.random.Generator, share: float, count: int = 4000) -> Packed:
     """Add many events to a part of the picture, of the same polarity in each column of bins."""
     x = random.integers(0, int(share * WIDTH), count).astype(np.uint16)
     y = random.integers(0, HEIGHT, count).astype(np.uint16)
     added = Events(np.zeros(count, np.int64), x, y, x // SIZE % 2 == 0)
-    return Events.concatenate([events, added])
+    return packed(Events.concatenate([events, added]))
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -96,8 +101,8 @@ def test_it_is_missing_in_wrong_events_and_back_with_the_right_ones(wrong, motio
     pattern = learnt(sensor)
 
     def judged(change) -> bool:
-        events = change(sensor.stretch())
-        pattern.judge(moving(events, sensor.random, motion) if motion else events)
+        events = change(sensor.events())
+        pattern.judge(moving(events, sensor.random, motion) if motion else packed(events))
         return pattern.missing
 
     for _ in range(20):
@@ -114,7 +119,7 @@ def test_many_events_everywhere_are_a_storm_and_in_a_part_a_motion(share: float,
     sensor = Sensor(12)
     pattern = learnt(sensor)
     for _ in range(10):
-        pattern.judge(moving(sensor.stretch(), sensor.random, share))
+        pattern.judge(moving(sensor.events(), sensor.random, share))
     assert pattern.storm is storm
     pattern.judge(sensor.stretch())
     assert not pattern.storm
@@ -125,7 +130,7 @@ def test_slow_motion_is_not_learnt_as_rest() -> None:
     pattern = NoisePattern(WIDTH, WINDOW_US)
     learn(pattern, sensor, 12)
     for _ in range(60):
-        pattern.learn(moving(sensor.stretch(), sensor.random, 0.4, 400), SHAPE)
+        pattern.learn(moving(sensor.events(), sensor.random, 0.4, 400), SHAPE)
     for _ in range(200):
         pattern.judge(sensor.stretch())
         assert not pattern.missing
@@ -135,7 +140,7 @@ def test_nothing_is_said_where_most_of_the_skin_moves() -> None:
     sensor = Sensor(17)
     pattern = learnt(sensor)
     for _ in range(100):
-        noise, first = sensor.stretch(), int(0.85 * WIDTH)
+        noise, first = sensor.events(), int(0.85 * WIDTH)
         left = noise[noise.x >= first]
         other = replace(left, x=(WIDTH - 1 + first - left.x).astype(np.uint16))
         pattern.judge(moving(other, sensor.random, 0.85))
@@ -147,8 +152,8 @@ def test_parts_of_the_sensor_fall_silent(left: float, silent) -> None:
     sensor = Sensor(14)
     pattern = learnt(sensor)
     for _ in range(15):
-        events = sensor.stretch()
-        pattern.judge(events[events.x >= left * WIDTH])
+        events = sensor.events()
+        pattern.judge(packed(events[events.x >= left * WIDTH]))
     assert pattern.silent is silent
     for _ in range(15):
         pattern.judge(sensor.stretch())
@@ -161,8 +166,8 @@ def test_rows_and_columns_fall_silent_within_200_ms(axis: str, every: int, silen
     sensor = Sensor(15, per_window=80.0)
     pattern = learnt(sensor)
     for _ in range(10):
-        events = sensor.stretch()
-        pattern.judge(events[getattr(events, axis) % every != 0])
+        events = sensor.events()
+        pattern.judge(packed(events[getattr(events, axis) % every != 0]))
     assert pattern.silent is silent
     for _ in range(15):
         pattern.judge(sensor.stretch())
@@ -230,7 +235,7 @@ def test_confirmed_while_it_is_there_it_stays() -> None:
 def test_silence_says_nothing() -> None:
     pattern = learnt(Sensor(7))
     for _ in range(50):
-        pattern.judge(Events.empty())
+        pattern.judge(packed(Events.empty()))
     assert not pattern.missing
 
 
@@ -268,17 +273,16 @@ def test_a_local_mean_is_that_of_a_box() -> None:
 
 
 def test_the_sums_are_those_of_the_bins_with_an_event() -> None:
-    events = Sensor(13).stretch()
+    events = Sensor(13).events()
     local = np.random.default_rng(1).normal(size=(2, *SHAPE)).astype(np.float32)
-    seen, sums = np.zeros(local.shape, np.int32), np.empty((2, TILES))
+    found, sums = np.ones(local.shape, bool), np.empty((2, TILES))
     counts, tiles = np.empty(TILES + SIZE * sum(SHAPE)), tiles_of(*SHAPE)
-    places = events.x, events.y, events.polarity
-    pattern_sums(*places, SIZE, tiles, local, seen, 5, sums, counts)
+    pattern_sums(packed(events), SIZE, tiles, local, found, sums, counts)
     there = np.zeros(local.shape, bool)
     inside = (events.x // SIZE < SHAPE[1]) & (events.y // SIZE < SHAPE[0])
     row, column = events.y[inside] // SIZE, events.x[inside] // SIZE
     there[events.polarity[inside].astype(int), row, column] = True
-    assert np.array_equal(seen == 5, there)
+    assert np.array_equal(found, there)
     assert sums.sum(1) == pytest.approx(
         [local[there].sum(), np.square(local[there]).sum()], rel=1e-5
     )
@@ -291,7 +295,7 @@ def test_the_sums_are_those_of_the_bins_with_an_event() -> None:
 
 
 def test_a_pattern_follows_the_share_of_stretches() -> None:
-    seen = np.array([[[1, 2]], [[2, 0]]], np.int32)
+    there = np.array([[[False, True]], [[True, False]]])
     pattern = np.full((2, 1, 2), 0.5, np.float32)
-    add_seen(seen, 2, 0.25, pattern)
+    add_seen(there, 0.25, pattern)
     assert pattern == pytest.approx(np.array([[[0.375, 0.625]], [[0.625, 0.375]]]))

@@ -19,6 +19,7 @@ from mixtac_fger.comparisons import STRONG_CHANGE, add_signs, agreement, marks
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
+from mixtac_fger.recent_events import packed
 from mixtac_fger.validity import (
     FRAMES_KNOWN,
     HOLD_FRAMES,
@@ -90,12 +91,16 @@ def test_what_no_contact_does_to_a_picture_is_found(encoded, trial, change, expe
 @settings(max_examples=30)
 def test_signs_are_a_histogram(places, size):
     x, y, on = (np.array([place[k] for place in places], int) for k in range(3))
-    out = np.zeros((40 // size, 60 // size), np.float32)
-    add_signs(x.astype(np.uint16), y.astype(np.uint16), on.astype(bool), size, out)
+    out, total = np.ones((2, 40 // size, 60 // size), np.float32)
+    events = Events(np.zeros_like(x), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool))
+    brighter, net = add_signs(packed(events), size, out, total)
     edges = [np.arange(n + 1) * size for n in out.shape]
     inside = (x < out.shape[1] * size) & (y < out.shape[0] * size)
     expected, *_ = np.histogram2d(y[inside], x[inside], bins=edges, weights=2.0 * on[inside] - 1.0)
     np.testing.assert_allclose(out, expected / size**2, atol=1e-5)
+    np.testing.assert_allclose(total, 1.0 + expected / size**2, atol=1e-5)
+    assert brighter == on.sum()
+    assert net == pytest.approx(np.abs(expected).sum(), abs=1e-3)
 
 
 def test_agreement_is_a_correlation():
@@ -281,7 +286,7 @@ def test_frames_in_a_loop_are_known_again(trial, encoded, frames):
 
 def marks_of(events: Events, most: int = 10_000) -> list[int]:
     room = np.empty(most, np.uint64)
-    found, *_ = marks(events.t, events.x, events.y, events.polarity, room)
+    found, *_ = marks(packed(events), room)
     return room[:found].tolist()
 
 
@@ -308,6 +313,15 @@ def test_events_are_known_again_wherever_and_whenever_they_are_cut(first, shift)
 def test_other_events_are_not_known(change):
     events = noise(0, 200_000, 4000)
     assert len(set(marks_of(events)) & set(marks_of(change(events)))) <= 1
+
+
+def test_events_are_counted_beside_their_marks():
+    events = noise(0, 200_000, 4000)
+    _, brighter, twice, times = marks(packed(events), np.empty(4, np.uint64))
+    assert (brighter, twice) == (np.count_nonzero(events.polarity), 0)
+    assert times == len(np.unique(events.t))
+    assert marks(packed(events[np.repeat(np.arange(4000), 3)]), np.empty(0, np.uint64))[2] == 8000
+    assert marks(packed(events[:0]), np.empty(4, np.uint64)) == (0, 0, 0, 0)
 
 
 def test_there_are_no_more_marks_than_room_for_them():
