@@ -121,8 +121,9 @@ def test_agreement_is_a_correlation():
     assert agreement(before, before, signs)[2:] == (0.0, 0, 0.0)
 
 
-def noise(start_us: int, end_us: int, count: int = 60) -> Events:
+def noise(start_us: int, end_us: int, count: int | None = None, usual: float = 60.0) -> Events:
     random = np.random.default_rng(start_us)
+    count = random.poisson(usual) if count is None else count
     return Events(
         np.sort(random.integers(start_us, end_us, count)),
         random.integers(0, 346, count).astype(np.uint16),
@@ -229,12 +230,14 @@ def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, fram
     assert wrong[-1] == pytest.approx(last, abs=2)
 
 
-def rest(validity: Validity, frames: int, start_us: int, *, events: bool = True) -> list[Reason]:
+def rest(
+    validity: Validity, frames: int, start_us: int, *, events: bool = True, usual: float = 60.0
+) -> list[Reason]:
     """Let noise pass for some frames; return what is said after each."""
     random, reasons = np.random.default_rng(start_us), []
     for begin in range(start_us, start_us + frames * INTERVAL_US, INTERVAL_US):
         for end in range(begin + WINDOW_US, begin + INTERVAL_US + 1, WINDOW_US):
-            told = noise(end - WINDOW_US, end) if events else Events.empty()
+            told = noise(end - WINDOW_US, end, usual=usual) if events else Events.empty()
             validity.window(end, told, complete=True)
         picture = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
         validity.frame(begin + INTERVAL_US, picture, None, 0.0, 0.0)
@@ -242,12 +245,13 @@ def rest(validity: Validity, frames: int, start_us: int, *, events: bool = True)
     return reasons
 
 
-def test_a_sensor_whose_events_stopped_is_not_trusted_until_they_return():
+@pytest.mark.parametrize('usual', [60.0, 400.0, 1200.0], ids=['little', 'dense', 'denser'])
+def test_a_sensor_whose_events_stopped_is_not_trusted_until_they_return(usual):
     validity = Validity(WINDOW_US, WIDTH)
-    assert set(rest(validity, 50, 0)) == {Reason.TRUSTED}
+    assert set(rest(validity, 50, 0, usual=usual)) == {Reason.TRUSTED}
     silent = rest(validity, 1500, 50 * INTERVAL_US, events=False)
     assert set(silent[1:]) == {Reason.EVENTS_MISSING}
-    back = rest(validity, 50, 1550 * INTERVAL_US)
+    back = rest(validity, 50, 1550 * INTERVAL_US, usual=usual)
     assert set(back[2 * HOLD_FRAMES :]) == {Reason.TRUSTED}
 
 
@@ -346,6 +350,24 @@ def test_events_with_the_times_of_packets_are_found(step_us):
         events = noise(end - WINDOW_US, end)
         validity.window(end, replace(events, t=events.t // step_us * step_us), complete=True)
     assert validity.reason is (Reason.EVENTS_DISAGREE if step_us > 1000 else Reason.TRUSTED)
+
+
+@pytest.mark.parametrize('usual', [60, 40])
+@pytest.mark.parametrize('limited', [True, False])
+def test_a_number_of_events_that_never_changes_is_a_limit_of_their_rate(usual, limited):
+    validity = Validity(WINDOW_US, WIDTH)
+    assert set(rest(validity, 25, 0, usual=usual)) == {Reason.TRUSTED}
+    for end in range(25 * INTERVAL_US + WINDOW_US, 26 * INTERVAL_US, WINDOW_US):
+        events = noise(end - WINDOW_US, end, usual=3.0 * usual)
+        validity.window(end, events[:80] if limited else events, complete=True)
+    assert validity.reason is (Reason.EVENTS_DISAGREE if limited else Reason.TRUSTED)
+
+
+def test_a_source_of_even_noise_has_no_limit():
+    validity = Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 2_000_000, WINDOW_US):
+        validity.window(end, noise(end - WINDOW_US, end, 60), complete=True)
+        assert validity.reason is Reason.TRUSTED
 
 
 def test_events_in_a_loop_are_found(trial, encoded, frames):
@@ -461,7 +483,7 @@ def test_the_rest_between_two_vibrations_is_learnt_from_neither():
         if end % INTERVAL_US == 0:
             still = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
             validity.frame(end, still, None, 0.0, 0.0, vibrating=shaken)
-        validity.window(end, noise(end - 2000, end, 1000 if shaken else 60), complete=True)
+        validity.window(end, noise(end - 2000, end, usual=1000 if shaken else 60), complete=True)
         assert validity.reason is Reason.TRUSTED
 
 
@@ -489,7 +511,7 @@ def test_a_frame_in_a_blow_says_nothing_alone(encoded, trial, again):
     blow = 200_000
     for end in range(WINDOW_US, 300_000, WINDOW_US):
         count = 4000 if abs(end - blow) < 5000 else 60
-        validity.window(end, noise(end - WINDOW_US, end, count), complete=True)
+        validity.window(end, noise(end - WINDOW_US, end, usual=count), complete=True)
         if end % INTERVAL_US == 0:
             wrong = end == blow or (again and end == blow + INTERVAL_US)
             picture = (blurred if wrong else sharp).picture
