@@ -107,7 +107,7 @@ def _recorder(context):
     with tempfile.NamedTemporaryFile('w', suffix='.yaml', delete=False) as overrides:
         yaml.safe_dump(qos, overrides)
     command = ['ros2', 'bag', 'record', '-s', 'mcap', '-o', output]
-    command += ['--qos-profile-overrides-path', overrides.name, *qos]
+    command += ['--qos-profile-overrides-path', overrides.name, '--topics', *qos]
     return ExecuteProcess(cmd=command, output='screen')
 
 
