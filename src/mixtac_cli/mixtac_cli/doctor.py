@@ -330,7 +330,8 @@ def check_zero(serial: str, measured: Measurement) -> Finding:
     name, path = 'zero', state_file(reference_name(serial) or 'none')
     tare = 'touch the sensor, release it and call ~/tare'
     if not path.exists():
-        return ok(name, f'none is kept for this camera: {tare} before the force counts', kept=False)
+        text = f'none is kept for this camera: {tare}, unless assume_free is set'
+        return ok(name, text, kept=False)
     try:
         estimator = open_estimator(read_model(find_model(DEFAULT_MODEL)))
         assert estimator.reference is not None  # noqa: S101  (the shipped model has one)

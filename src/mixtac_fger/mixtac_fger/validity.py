@@ -471,8 +471,8 @@ def picture_findings(picture: PictureFigures) -> set[Reason]:
     unlike = picture.likeness < _least(LEAST_LIKENESS, moved)
     unlike |= picture.fading < _least(LEAST_FADING, moved)
     unlike |= picture.roughness > _most(MOST_ROUGHNESS, moved)
-    unlike |= picture.sharpness < _least(LEAST_SHARPNESS, moved)
-    if unlike or picture.sharpness > _most(MOST_SHARPNESS, moved):
+    dull, keen = _least(LEAST_SHARPNESS, moved), _most(MOST_SHARPNESS, moved)
+    if unlike or not dull <= picture.sharpness <= keen:
         found.add(Reason.PICTURE_UNLIKE_REFERENCE)
     return found
 

@@ -317,7 +317,10 @@ def check_clocks(
     if apart_s > MOST_CLOCK_OFFSET_S:
         early = max(offsets_s, key=lambda name: offsets_s[name])
         late = min(offsets_s, key=lambda name: offsets_s[name])
-        text = f'{early} lies {apart_s:.1f} s behind {late}: they are not from one camera'
+        text = (
+            f'{early} lies {apart_s:.1f} s behind {late}: they are not from one camera, or the'
+            ' computer does not keep up'
+        )
         findings.append(Finding('camera clock', Level.ERROR, text))
     worst_s = max(offsets_s.values(), key=abs)
     if abs(worst_s) > MOST_CLOCK_OFFSET_S and not simulated_time:
