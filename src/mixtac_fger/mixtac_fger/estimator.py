@@ -287,6 +287,8 @@ class EstimatorStatus(EstimatorCounters):
         deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
+        noise_known: Whether events are held against the noise of the sensor at rest, which takes
+            some seconds of rest; until then they are compared with frames only.
     """
 
     ready: bool = False
@@ -296,6 +298,7 @@ class EstimatorStatus(EstimatorCounters):
     deviation: float = -1.0
     validity: str = Reason.TRUSTED.name
     zero_drift: float = 0.0
+    noise_known: bool = False
 
 
 SERIAL_KEY = 'sensor_serial'

@@ -290,6 +290,11 @@ class NoisePattern:
         self._doubt = self._uneven = 0.0
         self.missing = self.storm = self.silent = False
 
+    @property
+    def known(self) -> bool:
+        """Whether events are held against it: the sensor has been at rest for some seconds."""
+        return self._local is not None and self._judged >= self.JUDGED
+
     def confirm(self) -> None:
         """Learn the pattern anew where it is missing: the events have proved to be right."""
         if self.missing:

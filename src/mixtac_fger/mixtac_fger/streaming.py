@@ -334,6 +334,7 @@ class ForceEstimator:
             deviation=-1.0 if self._deviation is None else self._deviation,
             validity=self._reason_now.name,
             zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
+            noise_known=self._validity.noise_known,
         )
 
     def _frame_age_us(self) -> int:

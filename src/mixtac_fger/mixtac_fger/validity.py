@@ -92,11 +92,11 @@ TEXTS = {
 }
 
 
-UNLIKE = 0.75
-LEAST_LIKENESS = ((UNLIKE, 0.0), (0.93, -0.45))
+LEAST_LIKENESS = ((0.85, -0.15), (0.93, -0.45))
 """Limits of a picture: a value, and its change per bin that a tile has moved, since large
 displacements are found too small, and beads come and go. The second line holds for small ones: what
-a contact explains, no contact does not. Without a fault 0.86 or more, at rest 0.99."""
+a contact explains, no contact does not. Without a fault 0.86 or more, at rest 0.99; where a tile
+moves by 1.6 bins 0.72."""
 LEAST_FADING, MOST_ROUGHNESS = ((0.4, -0.2), (0.75, -0.7)), ((1.8, 0.3), (1.3, 1.0))
 """Without a fault 0.63 to 1.31, at rest 0.90 to 1.13. A strong pull that moves a tile by 1.2 bins
 has a fading of 0.26, one by 1.1 bins a roughness of 1.85."""
@@ -230,6 +230,11 @@ class Validity:
     def reason(self) -> Reason:
         """Why not, by the latest frames and windows; `TRUSTED` if nothing was found."""
         return min(self._held) if self._held else Reason.TRUSTED
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the noise at rest is known; until then events are compared with frames only."""
+        return self._pattern.known
 
     def window(self, end_us: int, events: Events, *, complete: bool) -> None:
         """Take a window.
@@ -468,13 +473,17 @@ def picture_findings(picture: PictureFigures) -> set[Reason]:
         found.add(Reason.LIGHT_CHANGED)
     if picture.shift > _most(MOST_SHIFT, moved):
         found.add(Reason.CAMERA_MOVED)
-    unlike = picture.likeness < _least(LEAST_LIKENESS, moved)
-    unlike |= picture.fading < _least(LEAST_FADING, moved)
+    unlike = is_unlike(picture) or picture.fading < _least(LEAST_FADING, moved)
     unlike |= picture.roughness > _most(MOST_ROUGHNESS, moved)
     dull, keen = _least(LEAST_SHARPNESS, moved), _most(MOST_SHARPNESS, moved)
     if unlike or not dull <= picture.sharpness <= keen:
         found.add(Reason.PICTURE_UNLIKE_REFERENCE)
     return found
+
+
+def is_unlike(picture: PictureFigures) -> bool:
+    """Return whether a picture is not that of the reference under any contact."""
+    return picture.likeness < _least(LEAST_LIKENESS, picture.displacement)
 
 
 Lines = tuple[tuple[float, float], ...]

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mixtac_fger.reference import TareError
-from mixtac_fger.validity import UNLIKE
+from mixtac_fger.validity import is_unlike
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -101,7 +101,7 @@ class Zero:
                 f'in contact ({largest:.2f} N within the last {len(forces)} windows)',
                 remedy='release the sensor and try again',
             )
-        outward = 0.0 if picture is None or picture.likeness < UNLIKE else picture.outward
+        outward = 0.0 if picture is None or is_unlike(picture) else picture.outward
         if known and abs(outward) > CONTACT:
             raise TareError(
                 'in contact: the skin is displaced against the reference',

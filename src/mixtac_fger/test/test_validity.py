@@ -255,6 +255,18 @@ def test_a_sensor_whose_events_stopped_is_not_trusted_until_they_return(usual):
     assert set(back[2 * HOLD_FRAMES :]) == {Reason.TRUSTED}
 
 
+def test_the_noise_is_known_after_some_seconds_of_rest():
+    validity = Validity(WINDOW_US, WIDTH)
+    rest(validity, 25, 0)
+    assert not validity.noise_known
+    rest(validity, 35, 25 * INTERVAL_US)
+    assert validity.noise_known
+    validity.clear()
+    assert validity.noise_known
+    validity.forget()
+    assert not validity.noise_known
+
+
 def test_a_hole_in_the_stream_heals_nothing():
     random, validity = np.random.default_rng(0), Validity(WINDOW_US, WIDTH)
     picture = random.normal(0.0, 0.1, (65, 86)).astype(np.float32)
