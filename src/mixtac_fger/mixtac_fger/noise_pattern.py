@@ -302,7 +302,7 @@ class NoisePattern:
 
     def judge(self, stretch: Packed) -> None:
         """Take the events of a stretch."""
-        if self._local is None or self._judged < self.JUDGED:
+        if self._local is None or not self.known:
             return
         self._add_up(stretch, self._local)
         if self._recent is None:
