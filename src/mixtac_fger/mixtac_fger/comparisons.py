@@ -15,15 +15,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_fger.recent_events import (
-    COLUMN_BIT,
-    COORDINATE,
     PLACE,
-    ROW_BIT,
     TIME,
     TIME_BIT,
     Packed,
     bin_of,
+    column_of,
     inverse_of,
+    row_of,
 )
 
 F32 = NDArray[np.float32]
@@ -217,17 +216,16 @@ def add_signs(events: Packed, size: int, out: F32, total: F32) -> tuple[int, flo
     brighter = 0
     out[:] = 0.0
     for event in events:
-        row = bin_of((event >> ROW_BIT) & COORDINATE, inverse)
-        column = bin_of((event >> COLUMN_BIT) & COORDINATE, inverse)
+        row, column = bin_of(row_of(event), inverse), bin_of(column_of(event), inverse)
         brighter += event & 1
         if row < rows and column < columns:
             out[row, column] += share if event & 1 else -share
-    one_way = np.float64(0.0)
+    net = np.float64(0.0)
     for row in range(rows):
         for column in range(columns):
             total[row, column] += out[row, column]
-            one_way += abs(out[row, column])
-    return brighter, one_way * (size * size)
+            net += abs(out[row, column])
+    return brighter, net * (size * size)
 
 
 MARKED_BITS, MOST_MARKS = 5, 32

@@ -29,7 +29,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_fger.comparisons import TILE_COLUMNS, TILE_ROWS
-from mixtac_fger.recent_events import COLUMN_BIT, COORDINATE, ROW_BIT, Packed, bin_of, inverse_of
+from mixtac_fger.recent_events import Packed, bin_of, column_of, inverse_of, row_of
 
 F32 = NDArray[np.float32]
 
@@ -80,7 +80,7 @@ def pattern_sums(
     inverse = inverse_of(size)
     first_column = TILES + size * rows
     for event in events:
-        y, x = (event >> ROW_BIT) & COORDINATE, (event >> COLUMN_BIT) & COORDINATE
+        y, x = row_of(event), column_of(event)
         row, column, sign = bin_of(y, inverse), bin_of(x, inverse), event & 1
         if row < rows and column < columns:
             tile = tiles[row, column]

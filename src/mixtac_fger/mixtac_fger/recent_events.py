@@ -54,6 +54,18 @@ def pack(
 
 
 @njit(cache=True, nogil=True)
+def column_of(event: int) -> int:
+    """Return the column of a packed event."""
+    return (event >> COLUMN_BIT) & COORDINATE
+
+
+@njit(cache=True, nogil=True)
+def row_of(event: int) -> int:
+    """Return the row of a packed event."""
+    return (event >> ROW_BIT) & COORDINATE
+
+
+@njit(cache=True, nogil=True)
 def inverse_of(size: int) -> int:
     """Return what `bin_of` multiplies by: divisions are what takes longest."""
     return 2**32 // size + 1
