@@ -233,7 +233,7 @@ MARKED_BITS, MOST_MARKS = 5, 32
 
 
 @njit(cache=True, nogil=True)
-def marks(events: Packed, out: NDArray[np.uint64]) -> tuple[int, int, int, int]:
+def marks(events: Packed, out: NDArray[np.uint64]) -> tuple[int, int, int, int, int]:
     """Find places in a stream of events by which it is known again, wherever it is cut.
 
     A mark is a hash of four events in a row, and of the time from the first to the last; no pixel
@@ -245,17 +245,20 @@ def marks(events: Packed, out: NDArray[np.uint64]) -> tuple[int, int, int, int]:
 
     Returns:
         Number of marks, m at most; number of ON events; how many events are the one before once
-        more; and how many different times follow one another.
+        more; how many different times follow one another; and the longest pause between them [us].
     """
-    found = brighter = twice = 0
+    found = brighter = twice = longest = 0
     times = min(events.shape[0], 1)
     first = 0  # of the latest events without a pixel that is among them twice
     for index in range(events.shape[0]):
         event = events[index]
         brighter += event & 1
         if index:
-            twice += event == events[index - 1]
-            times += event >> TIME_BIT != events[index - 1] >> TIME_BIT
+            before = events[index - 1]
+            pause = ((event >> TIME_BIT) - (before >> TIME_BIT)) & TIME
+            twice += event == before
+            times += pause > 0
+            longest = max(longest, pause)
         for other in range(max(index - 3, first), index):
             if (event ^ events[other]) & PLACE <= 1:
                 first = other + 1
@@ -269,7 +272,7 @@ def marks(events: Packed, out: NDArray[np.uint64]) -> tuple[int, int, int, int]:
         if mark >> np.uint64(64 - MARKED_BITS) == 0:
             out[found] = mark
             found += 1
-    return found, brighter, twice, times
+    return found, brighter, twice, times, longest
 
 
 STRONG_CHANGE = 0.25

@@ -132,6 +132,11 @@ def noise(start_us: int, end_us: int, count: int | None = None, usual: float = 6
     )
 
 
+def together(*parts: Events) -> Events:
+    events = Events.concatenate(parts)
+    return events[np.argsort(events.t, kind='stable')]
+
+
 def follow(
     trial, encoded, events: Events, frames, *, until_us: int = 1_150_000, alone: bool = False
 ) -> list[Reason]:
@@ -145,7 +150,7 @@ def follow(
             frame += 1
         part = events.between(end - WINDOW_US, end)
         if not alone:
-            part = Events.concatenate([part, noise(end - 2000, end)])
+            part = together(part, noise(end - 2000, end))
         validity.window(end, part, complete=True)
         reasons.append(validity.reason)
     return reasons
@@ -213,7 +218,7 @@ def test_events_have_to_tell_of_the_motion(change, expected):
         told = change(told_by_events(before, after, start, index))
         for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
             parts = [told.between(end - WINDOW_US, end), noise(end - 2000, end)]
-            validity.window(end, Events.concatenate(parts), complete=True)
+            validity.window(end, together(*parts), complete=True)
         picture = (after + random.normal(0.0, 0.01, after.shape)).astype(np.float32)
         validity.frame(start + INTERVAL_US, picture, None, 0.0, 0.0)
         reasons.add(validity.reason)
@@ -333,17 +338,60 @@ def test_other_events_are_not_known(change):
 
 def test_events_are_counted_beside_their_marks():
     events = noise(0, 200_000, 4000)
-    _, brighter, twice, times = marks(packed(events), np.empty(4, np.uint64))
+    _, brighter, twice, times, pause = marks(packed(events), np.empty(4, np.uint64))
     assert (brighter, twice) == (np.count_nonzero(events.polarity), 0)
     assert times == len(np.unique(events.t))
+    assert pause == np.diff(events.t).max()
     assert marks(packed(events[np.repeat(np.arange(4000), 3)]), np.empty(0, np.uint64))[2] == 8000
-    assert marks(packed(events[:0]), np.empty(4, np.uint64)) == (0, 0, 0, 0)
+    assert marks(packed(events[:0]), np.empty(4, np.uint64)) == (0, 0, 0, 0, 0)
+
+
+def test_a_pause_is_measured_where_the_kept_bits_of_the_time_begin_anew():
+    events = noise(2**31 - 10_000, 2**31 + 10_000, 1000)
+    *_, pause = marks(packed(events), np.empty(4, np.uint64))
+    assert pause == np.diff(events.t).max()
 
 
 def test_there_are_no_more_marks_than_room_for_them():
     events = noise(0, 200_000, 4000)
     assert marks_of(events, 5) == marks_of(events)[:5]
     assert marks_of(events[:3]) == []
+
+
+@pytest.mark.parametrize('lost', [0.0, 0.2, 0.8])
+def test_events_that_pause_in_every_window_are_missing(lost):
+    validity = Validity(WINDOW_US, WIDTH)
+    rest(validity, 25, 0)
+    for end in range(26 * INTERVAL_US + WINDOW_US, 28 * INTERVAL_US, WINDOW_US):
+        events = noise(end - WINDOW_US, end, usual=60.0 / (1.0 - lost))
+        kept = events.t < end - lost * WINDOW_US
+        validity.window(end, events[kept], complete=True)
+    # A fifth of a window is no longer than 12 of its events take.
+    assert validity.reason is (Reason.EVENTS_MISSING if lost > 0.2 else Reason.TRUSTED)
+
+
+def test_windows_that_are_known_to_be_lost_are_no_pause():
+    validity = Validity(WINDOW_US, WIDTH)
+    rest(validity, 25, 0)
+    for end in range(25 * INTERVAL_US + WINDOW_US, 28 * INTERVAL_US, WINDOW_US):
+        if end // WINDOW_US % 7 == 0:
+            validity.window(end, Events.empty(), complete=False)
+        else:
+            validity.window(end, noise(end - WINDOW_US, end), complete=True)
+        assert validity.reason is Reason.TRUSTED
+
+
+@pytest.mark.parametrize('share', [0.0, 0.2])
+def test_events_some_of_which_come_again_later_are_known(share):
+    validity = Validity(WINDOW_US, WIDTH)
+    random = np.random.default_rng(4)
+    for end in range(12 * WINDOW_US, 1_000_000, WINDOW_US):
+        events = noise(end - WINDOW_US, end)
+        if random.random() < share:
+            old = noise(end - 11 * WINDOW_US, end - 10 * WINDOW_US).shifted(10 * WINDOW_US)
+            events = together(events, old)
+        validity.window(end, events, complete=True)
+    assert validity.reason is (Reason.EVENTS_DISAGREE if share else Reason.TRUSTED)
 
 
 @pytest.mark.parametrize('number', [1, 2])
@@ -370,9 +418,24 @@ def test_a_number_of_events_that_never_changes_is_a_limit_of_their_rate(usual, l
     validity = Validity(WINDOW_US, WIDTH)
     assert set(rest(validity, 25, 0, usual=usual)) == {Reason.TRUSTED}
     for end in range(25 * INTERVAL_US + WINDOW_US, 26 * INTERVAL_US, WINDOW_US):
-        events = noise(end - WINDOW_US, end, usual=3.0 * usual)
-        validity.window(end, events[:80] if limited else events, complete=True)
+        events = noise(end - WINDOW_US, end, 80 if limited else None, usual=3.0 * usual)
+        validity.window(end, events, complete=True)
     assert validity.reason is (Reason.EVENTS_DISAGREE if limited else Reason.TRUSTED)
+
+
+def test_a_limit_that_was_found_counts_in_single_windows_until_one_has_more():
+    validity = Validity(WINDOW_US, WIDTH)
+    begin, said = 0, []
+    for number in (100, 100, 140, 100):
+        assert rest(validity, 25, begin)[-1] is Reason.TRUSTED
+        begin += 25 * INTERVAL_US
+        for _ in range(1 if said else 10):
+            end = begin + WINDOW_US
+            validity.window(end, noise(begin, end, number), complete=True)
+            begin = end
+        said.append(validity.reason)
+        begin += INTERVAL_US - begin % INTERVAL_US
+    assert said == [Reason.EVENTS_DISAGREE] * 2 + [Reason.TRUSTED] * 2
 
 
 def test_a_source_of_even_noise_has_no_limit():
@@ -477,7 +540,7 @@ def test_frames_of_a_vibration_are_not_compared_with_events():
             told = told_by_events(before[:, ::-1], after[:, ::-1], start, index)
             for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
                 parts = [told.between(end - WINDOW_US, end), noise(end - 2000, end)]
-                validity.window(end, Events.concatenate(parts), complete=True)
+                validity.window(end, together(*parts), complete=True)
             picture = (after + random.normal(0.0, 0.01, after.shape)).astype(np.float32)
             mid_us, vibrating = start + INTERVAL_US, tells and state == 1
             validity.frame(mid_us, picture, None, 0.0, 0.0, vibrating=vibrating)
@@ -548,7 +611,7 @@ def test_what_moves_to_and_fro_between_two_frames_is_not_compared_with_them():
                 told = told[np.argsort(told.t, kind='stable')]
             for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
                 parts = [noise(end - 2000, end)] + [told.between(end - 2000, end)] * (index > 6)
-                validity.window(end, Events.concatenate(parts), complete=True)
+                validity.window(end, together(*parts), complete=True)
             shown = after if index > 6 else 0.0 * after
             picture = (shown + random.normal(0.0, 0.01, shown.shape)).astype(np.float32)
             validity.frame(start + INTERVAL_US, picture, None, 0.0, 0.0)
