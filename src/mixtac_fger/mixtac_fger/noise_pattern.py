@@ -43,6 +43,8 @@ FEW, LEAST_STILL = 20, 0.3
 """Events of a stretch, and part of the pattern that does not move, below which nothing is said."""
 MEMORY = 5.0
 """Stretches over which a tile is silent."""
+SPAN = 2.0 * MEMORY - 1.0
+"""What a mean with such a memory is the mean of."""
 LEAST_RATE, RARE = 0.25, 5.0
 """Events over those at rest, without a fault 0.5 and more, and standard deviations by which there
 have to be fewer, too: few events come and go."""
@@ -101,14 +103,15 @@ def tiles_of(rows: int, columns: int) -> NDArray[np.uint8]:
 
 
 @njit(cache=True, nogil=True)
-def least_number(usual: float, rare: float = RARE) -> float:
+def least_number(usual: float, rare: float = RARE, share: float = LEAST_RATE) -> float:
     """Return the number of events below which a sensor, or a part of it, is silent.
 
     Args:
         usual: Number at rest.
         rare: Standard deviations by which it is less.
+        share: Part of the number at rest that it is less than.
     """
-    return min(LEAST_RATE * usual, usual - rare * np.sqrt(usual))  # type: ignore[no-any-return]
+    return min(share * usual, usual - rare * np.sqrt(usual))  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True)
@@ -164,11 +167,9 @@ def count_silent(
         recent: `counts` of late, follows the stretch.
     """
     tiles = lines = 0
-    # What a mean with such a memory is the mean of.
-    stretches = 2.0 * MEMORY - 1.0
     for part in range(counts.shape[0]):
         recent[part] += (counts[part] - recent[part]) / MEMORY
-        number, before = stretches * recent[part], stretches * usual[part]
+        number, before = SPAN * recent[part], SPAN * usual[part]
         if part < TILES:
             tiles += number < least_number(before)
         else:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
 from mixtac_fger.motion_agreement import MotionAgreement, pair_of
-from mixtac_fger.noise_pattern import NoisePattern, least_number
+from mixtac_fger.noise_pattern import MEMORY, RARE, SPAN, NoisePattern, least_number
 from mixtac_fger.recent_events import Known, RecentWindows
 
 if TYPE_CHECKING:
@@ -150,6 +150,11 @@ HOLD_FRAMES = 5
 """Frames without a finding after which a force is trusted again."""
 FALL, RISE = 0.2, 0.002
 """Shares of a new value by which levels of noise follow it."""
+RESTS_KNOWN = 25
+"""Frames at rest after which it is known what is usual, and from which on that follows slowly."""
+MOST_LEANING, RESTS_LEANING, LEAST_LEANING, QUIET = 0.08, 5, 200, 1.2
+"""Share of ON events at rest less the usual one, the mean of so many frames with so many events and
+at most so many times the usual ones; without a fault 0.053 at most (42 trials)."""
 AT_REST = 1.5
 """Events over those at rest up to which a frame without motion counts as rest."""
 FRAMES_KNOWN, ROWS_APART = 128, 8
@@ -159,9 +164,12 @@ STRETCHES_KNOWN = 256
 MOST_AGAIN, FORGOTTEN = 2.5, 0.2
 """Marks that are known again, of which each stretch forgets a part; without a fault 1 at most, in
 218 stretches of real events, none in 7,776 of simulated ones."""
+LEAST_RECENT = 0.6
+"""ON, or OFF, events of the latest 100 ms over those at rest; without a fault 0.78 and more (42
+trials)."""
 LONGEST_PAUSE = 5.0
-"""Longest pause between two events of a stretch over its mean at rest; without a fault 2.3 at most
-(16 trials), 3.5 in real events."""
+"""Longest pause between two events of a stretch over its mean at rest; without a fault 2.4 at most
+(42 trials), 3.5 in real events."""
 MOST_TWICE = 8
 """Events of a stretch that are the one before once more; without a fault 1 at most."""
 LEAST_EVEN = 40
@@ -200,6 +208,7 @@ class Validity:
         """Forget the sensor, and what is usual of it."""
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
+        self._leaning: deque[float] = deque(maxlen=RESTS_LEANING)
         self._pause, self._usual_pause = 0, 0.0  # between two events [us]
         self._noise = self._murmur = self._slope = 0.0
         self._white: float | None = None
@@ -216,6 +225,7 @@ class Validity:
         self._anchor: F32 | None = None
         self._signs = np.zeros((0, 0), np.float32)
         self._stretch = self._age = self._untold = self._low = 0
+        self._recent = [self._pattern.windows * each for each in self._rest]
         self._busy = self._vibrating = self._foreign = self._unlike = False
         self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
@@ -270,8 +280,11 @@ class Validity:
         latest = self._windows.latest(count)
         stretch = self._windows.events(latest)
         found, brighter, twice, times, pause = marks(stretch, self._room)
-        for number, rest in zip((brighter, len(stretch) - brighter), self._rest, strict=True):
-            if number < least_number(count * rest):
+        for sign, number in enumerate((brighter, len(stretch) - brighter)):
+            usual = count * self._rest[sign]
+            self._recent[sign] += (number - self._recent[sign]) / MEMORY
+            few = SPAN * self._recent[sign] < least_number(SPAN * usual, RARE, LEAST_RECENT)
+            if number < least_number(usual) or (few and self._rests >= RESTS_KNOWN):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
         self._again += self._marks.add(self._room[:found]) - FORGOTTEN * self._again
         wrong = self._again > MOST_AGAIN or twice > MOST_TWICE
@@ -448,20 +461,29 @@ class Validity:
         one_way = net >= min(LEAST_ONE_WAY, LEAST_BY_CHANCE * by_chance) * sum(numbers)
         # No vibration that frames do not show, unless there always is one.
         rest &= one_way or sum(rates) <= usual
-        if rest:
+        quiet = self._rests >= RESTS_KNOWN and rest and sum(rates) < QUIET * sum(self._rest)
+        if quiet and sum(signs) >= LEAST_LEANING:
+            self._leaning.append(rates[0] / sum(rates) - self._rest[0] / sum(self._rest))
+        lean = abs(sum(self._leaning)) > MOST_LEANING * RESTS_LEANING
+        if rest and not lean:
             latest = slice(chosen.stop - self._pattern.windows, chosen.stop)
             if latest.start >= 0:
                 self._pattern.learn(self._windows.events(latest), (told.shape[0], told.shape[1]))
             self._rests += 1
-            share = max(1.0 / self._rests, RISE)
+            share = 1.0 / self._rests if self._rests <= RESTS_KNOWN else RISE
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
             if self._pause:
                 share = share if self._usual_pause else 1.0
                 self._usual_pause += (self._pause - self._usual_pause) * share
         found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
+        if lean:
+            found.add(Reason.EVENTS_DISAGREE)
         self._agreement.pair(pair, usable=one_way and not self._busy)
         if self._agreement.certain:
             self._pattern.confirm()
+            if lean:
+                self._leaning.clear()
+                self._rests = 0
         return found
 
     def _between(self, start_us: int, end_us: int) -> slice | None:

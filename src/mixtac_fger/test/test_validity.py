@@ -260,6 +260,37 @@ def test_a_sensor_whose_events_stopped_is_not_trusted_until_they_return(usual):
     assert set(back[2 * HOLD_FRAMES :]) == {Reason.TRUSTED}
 
 
+@pytest.mark.parametrize('sign', [0, 1])
+@pytest.mark.parametrize('kept', [0.45, 0.85])
+def test_events_of_a_polarity_that_become_fewer_are_missing(sign, kept):
+    validity = Validity(WINDOW_US, WIDTH)
+    assert set(rest(validity, 50, 0, usual=120.0)) == {Reason.TRUSTED}
+    random = np.random.default_rng(1)
+    for end in range(50 * INTERVAL_US + WINDOW_US, 60 * INTERVAL_US, WINDOW_US):
+        events = noise(end - WINDOW_US, end, usual=120.0)
+        left = (events.polarity != sign) | (random.random(len(events)) < kept)
+        validity.window(end, events[left], complete=True)
+    assert validity.reason is (Reason.EVENTS_MISSING if kept < 0.5 else Reason.TRUSTED)
+
+
+def test_polarities_at_random_differ_from_those_at_rest():
+    validity = Validity(WINDOW_US, WIDTH)
+    assert set(rest(validity, 50, 0)) == {Reason.TRUSTED}
+    random, wrong = np.random.default_rng(1), []
+    for begin in range(50 * INTERVAL_US, 100 * INTERVAL_US, INTERVAL_US):
+        for end in range(begin + WINDOW_US, begin + INTERVAL_US + 1, WINDOW_US):
+            events = noise(end - WINDOW_US, end)
+            if begin < 80 * INTERVAL_US:
+                events = replace(events, polarity=random.random(len(events)) < 0.48)
+            validity.window(end, events, complete=True)
+        picture = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+        validity.frame(begin + INTERVAL_US, picture, None, 0.0, 0.0)
+        wrong.append(validity.reason is Reason.EVENTS_DISAGREE)
+    # It does not become what is usual while it is wrong, and is trusted again when it is right.
+    assert all(wrong[6:30])
+    assert not any(wrong[30 + 2 * HOLD_FRAMES :])
+
+
 def test_the_noise_is_known_after_some_seconds_of_rest():
     validity = Validity(WINDOW_US, WIDTH)
     rest(validity, 25, 0)
