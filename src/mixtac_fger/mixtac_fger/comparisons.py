@@ -32,6 +32,8 @@ TILE_ROWS, TILE_COLUMNS = 6, 8
 TILE_SUMS = 10
 LEAST_VARIANCE = 1e-3
 """Added to the variance of a tile [log units^2]: a tile without texture is like any other."""
+STILL_BINS = 0.06
+"""Displacement below which a tile does not move [bins]."""
 WORST_TILES = 3
 """Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
 
@@ -45,6 +47,7 @@ class PictureFigures(NamedTuple):
         roughness: The same, the highest of the tiles.
         shading: Mean of a tile less that of the displaced reference, against the median of all
             tiles, the largest [log units].
+        still_shading: The same, the largest of the tiles that do not move against the median tile.
         unevenness: The same, the median of the tiles.
         shift: Displacement of the median tile, or of the median of the tiles along the border where
             that is less: a pull on a wide contact moves more than half of the picture [bins].
@@ -58,6 +61,7 @@ class PictureFigures(NamedTuple):
     fading: float
     roughness: float
     shading: float
+    still_shading: float
     unevenness: float
     shift: float
     displacement: float
@@ -130,7 +134,7 @@ def _border_median(values: NDArray[np.float64]) -> float:
 @njit(cache=True, nogil=True, error_model='numpy')
 def picture_figures(
     reference: F32, image: F32, flow: F32
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:
     """Compare a picture with the reference; returns fields of `PictureFigures`, all but the last.
 
     Args:
@@ -160,7 +164,7 @@ def picture_figures(
     shift_x, shift_y = _median(u), _median(v)
     shift = min(np.hypot(shift_x, shift_y), np.hypot(_border_median(u), _border_median(v)))
     middle, squared = _median(change), np.empty(count)
-    total = largest = np.float64(0.0)
+    total = largest = still = np.float64(0.0)
     for index in range(count):
         change[index] = abs(change[index] - middle)
         u[index] -= shift_x
@@ -168,6 +172,8 @@ def picture_figures(
         squared[index] = u[index] * u[index] + v[index] * v[index]
         total += squared[index]
         largest = max(largest, squared[index])
+        if squared[index] < STILL_BINS * STILL_BINS:
+            still = max(still, change[index])
     total += 1e-12
     _sort(change)
     _sort(likeness)
@@ -185,6 +191,7 @@ def picture_figures(
         sharpness[0],
         sharpness[-1],
         change[-1],
+        still,
         change[count // 2],
         shift,
         np.sqrt(largest),

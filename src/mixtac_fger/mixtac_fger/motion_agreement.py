@@ -106,6 +106,11 @@ class MotionAgreement:
         """Go on after a hole in the stream, or a pair that cannot be compared."""
         self._latest = None
 
+    def contradict(self) -> None:
+        """Note that they have told of different motions in some other way."""
+        self.apart = True
+        self._expected = self._alike = 0.0
+
     def pair(self, pair: Pair, *, usable: bool) -> None:
         """Take two frames in a row.
 

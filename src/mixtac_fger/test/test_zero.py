@@ -18,6 +18,7 @@ SOUND = PictureFigures(
     fading=1.0,
     roughness=1.0,
     shading=0.0,
+    still_shading=0.0,
     unevenness=0.0,
     shift=0.0,
     displacement=0.0,
