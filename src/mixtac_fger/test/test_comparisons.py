@@ -45,7 +45,18 @@ def test_light_shades_a_picture_and_beads_that_move_do_not() -> None:
         PictureFigures(*picture_figures(reference, image, flow)) for image in (moved, lit)
     )
     assert still.shading < 1e-3
-    assert shaded.shading == pytest.approx(0.3, abs=0.01)
+    assert shaded.shading == shaded.still_shading == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_contact_shades_tiles_that_move_and_no_others() -> None:
+    picture = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32)
+    flow, darker = np.zeros((2, *SHAPE), np.float32), picture.copy()
+    flow[0, 20:30, 20:30] = 1e-6
+    flow[1, 20:30, 20:30] = 0.5
+    darker[20:30, 20:30] -= 0.2
+    found = PictureFigures(*picture_figures(picture, darker, flow))
+    assert found.shading > 0.1
+    assert found.still_shading < 1e-6
 
 
 def test_a_lens_out_of_focus_takes_the_sharpness_and_a_contact_does_not() -> None:

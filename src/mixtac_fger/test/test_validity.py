@@ -15,7 +15,13 @@ from scipy.ndimage import gaussian_filter
 from toy_sensor import EXPOSURE_US, INTERVAL_US
 
 from mixtac_events.arrays import Events
-from mixtac_fger.comparisons import STRONG_CHANGE, add_signs, agreement, marks
+from mixtac_fger.comparisons import (
+    STRONG_CHANGE,
+    PictureFigures,
+    add_signs,
+    agreement,
+    marks,
+)
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
@@ -208,12 +214,18 @@ def told_by_events(before: np.ndarray, after: np.ndarray, start_us: int, seed: i
     ids=['as they are', 'none', 'mirrored', 'inverted', 'shuffled'],
 )
 def test_events_have_to_tell_of_the_motion(change, expected):
-    random = np.random.default_rng(3)
-    pattern = random.normal(0.0, 0.5, (65, 86))
-    validity = Validity(WINDOW_US, WIDTH)
-    reasons, before = set(), np.zeros_like(pattern)
-    for index, phase in enumerate([0, 0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0, 0.3]):
-        start = 1_000_000 + index * INTERVAL_US
+    pattern = np.random.default_rng(3).normal(0.0, 0.5, (65, 86))
+    phases = [0, 0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0, 0.3]
+    reasons = moving(Validity(WINDOW_US, WIDTH), pattern, phases, change)
+    assert set(reasons) == {Reason.TRUSTED, expected}
+
+
+def moving(validity: Validity, pattern, phases, change=lambda events: events, begin_us=1_000_000):
+    """Let a picture change by parts of a pattern; return what is said after each frame."""
+    random = np.random.default_rng(begin_us)
+    reasons, before = [], pattern * phases[0]
+    for index, phase in enumerate(phases):
+        start = begin_us + index * INTERVAL_US
         after = pattern * phase
         told = change(told_by_events(before, after, start, index))
         for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
@@ -221,9 +233,57 @@ def test_events_have_to_tell_of_the_motion(change, expected):
             validity.window(end, together(*parts), complete=True)
         picture = (after + random.normal(0.0, 0.01, after.shape)).astype(np.float32)
         validity.frame(start + INTERVAL_US, picture, None, 0.0, 0.0)
-        reasons.add(validity.reason)
+        reasons.append(validity.reason)
         before = after
-    assert reasons == {Reason.TRUSTED, expected}
+    return reasons
+
+
+@pytest.mark.parametrize('inverted', [False, True])
+def test_a_slow_motion_of_a_few_bins_tells_in_the_end(inverted):
+    pattern = np.zeros((65, 86))
+    pattern[30, 40:46] = 1.0
+    phases = [*np.zeros(3), *np.linspace(0.0, 0.9, 36)]
+
+    def change(events: Events) -> Events:
+        return replace(events, polarity=events.polarity != inverted)
+
+    reasons = moving(Validity(WINDOW_US, WIDTH), pattern, phases, change)
+    assert reasons[-1] is (Reason.EVENTS_DISAGREE if inverted else Reason.TRUSTED)
+    assert reasons[10] is Reason.TRUSTED
+
+
+def test_what_disagreed_is_not_trusted_until_it_agrees():
+    random, validity = np.random.default_rng(1), Validity(WINDOW_US, WIDTH)
+    pattern = random.normal(0.0, 0.5, (65, 86))
+
+    def shuffled(events: Events) -> Events:
+        return replace(events, y=random.permutation(events.y))
+
+    wrong = [0, 0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.6]
+    still = [0.6] * 3 * HOLD_FRAMES
+    moving(validity, pattern, wrong, shuffled, begin_us=0)
+    rested = moving(validity, pattern, still, begin_us=len(wrong) * INTERVAL_US)
+    assert set(rested) == {Reason.EVENTS_DISAGREE}
+    begin_us = (len(wrong) + len(still)) * INTERVAL_US
+    moved = moving(validity, pattern, [0.6, 0.9, *[0.9] * 2 * HOLD_FRAMES], begin_us=begin_us)
+    assert moved[-1] is Reason.TRUSTED
+
+
+def test_tiles_that_do_not_move_keep_their_light_however_far_others_move():
+    sound = PictureFigures(
+        likeness=1.0,
+        fading=1.0,
+        roughness=1.0,
+        shading=0.1,
+        still_shading=0.02,
+        unevenness=0.0,
+        shift=0.0,
+        displacement=1.0,
+        outward=0.5,
+        sharpness=1.0,
+    )
+    assert not picture_findings(sound)
+    assert picture_findings(sound._replace(still_shading=0.05)) == {Reason.LIGHT_CHANGED}
 
 
 def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, frames):
