@@ -321,8 +321,8 @@ def check_zero(serial: str, measured: Measurement) -> Finding:
     """
     from mixtac_fger.estimator import open_estimator
     from mixtac_fger.live_feed import MOST_DRIFT_N
+    from mixtac_fger.pictures import picture_findings
     from mixtac_fger.reference import reference_name
-    from mixtac_fger.validity import picture_findings
     from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
     from mixtac_fger.zero import CONTACT
     from mixtac_recordings.messages import left_aligned

@@ -1,14 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the checks of `validity` look at, compiled: figures of pictures, of events, and of both.
+"""What the checks of `validity` compare, compiled.
 
-A picture is compared with the reference, two frames with the events between them, and events with
-earlier ones, by marks.
+Two frames are compared with the events between them, and events with earlier ones, by marks.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,179 +23,6 @@ from mixtac_fger.recent_events import (
 )
 
 F32 = NDArray[np.float32]
-
-TILE_ROWS, TILE_COLUMNS = 6, 8
-"""Tiles of a picture: about eight beads each."""
-TILE_SUMS = 10
-LEAST_VARIANCE = 1e-3
-"""Added to the variance of a tile [log units^2]: a tile without texture is like any other."""
-STILL_BINS = 0.06
-"""Displacement below which a tile does not move [bins]."""
-WORST_TILES = 3
-"""Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
-
-
-class PictureFigures(NamedTuple):
-    """What a picture has in common with the reference.
-
-    Attributes:
-        likeness: Correlation with the displaced reference, the fourth lowest of the tiles.
-        fading: Variance of a tile over that of the reference, the lowest of the tiles.
-        roughness: The same, the highest of the tiles.
-        shading: Mean of a tile less that of the displaced reference, against the median of all
-            tiles, the largest [log units].
-        still_shading: The same, the largest of the tiles that do not move against the median tile.
-        unevenness: The same, the median of the tiles.
-        shift: Displacement of the median tile, or of the median of the tiles along the border where
-            that is less: a pull on a wide contact moves more than half of the picture [bins].
-        displacement: Displacement of the tile that moved most against the median tile [bins].
-        outward: Mean component of the displacement away from where it is largest [bins].
-        sharpness: Variance of a tile over that of the reference, the median of the tiles.
-        clipped: Share of the picture that is all white.
-    """
-
-    likeness: float
-    fading: float
-    roughness: float
-    shading: float
-    still_shading: float
-    unevenness: float
-    shift: float
-    displacement: float
-    outward: float
-    sharpness: float
-    clipped: float = 0.0
-
-
-@njit(cache=True, nogil=True)
-def _tile_sums(reference: F32, image: F32, flow: F32, sums: NDArray[np.float64]) -> None:
-    """Write, per tile, the sums that `picture_figures` reads."""
-    rows, columns = image.shape
-    sums[:] = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            u, v = flow[0, row, column], flow[1, row, column]
-            x = min(max(column - u, np.float32(0.0)), np.float32(columns - 1))
-            y = min(max(row - v, np.float32(0.0)), np.float32(rows - 1))
-            left, top = min(int(x), columns - 2), min(int(y), rows - 2)
-            p, q = x - left, y - top
-            above = (1 - p) * reference[top, left] + p * reference[top, left + 1]
-            below = (1 - p) * reference[top + 1, left] + p * reference[top + 1, left + 1]
-            moved = np.float64((1 - q) * above + q * below)
-            here, before = np.float64(image[row, column]), np.float64(reference[row, column])
-            tile = sums[row * TILE_ROWS // rows, column * TILE_COLUMNS // columns]
-            tile[0] += 1.0
-            tile[1] += moved
-            tile[2] += moved * moved
-            tile[3] += here
-            tile[4] += here * here
-            tile[5] += moved * here
-            tile[6] += before
-            tile[7] += before * before
-            tile[8] += u
-            tile[9] += v
-
-
-@njit(cache=True, nogil=True)
-def _sort(values: NDArray[np.float64]) -> None:
-    """Sort a few values in place; np.sort and np.median take seconds to compile."""
-    for index in range(1, values.shape[0]):
-        value, place = values[index], index
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
-
-
-@njit(cache=True, nogil=True)
-def _median(values: NDArray[np.float64]) -> float:
-    """Return the (upper) median."""
-    ordered = values.copy()
-    _sort(ordered)
-    return ordered[values.shape[0] // 2]  # type: ignore[no-any-return]
-
-
-@njit(cache=True, nogil=True)
-def _border_median(values: NDArray[np.float64]) -> float:
-    """Return the (upper) median of the tiles along the border."""
-    border = np.empty(2 * (TILE_ROWS + TILE_COLUMNS) - 4)
-    found = 0
-    for index in range(values.shape[0]):
-        row, column = index // TILE_COLUMNS, index % TILE_COLUMNS
-        if row in (0, TILE_ROWS - 1) or column in (0, TILE_COLUMNS - 1):
-            border[found] = values[index]
-            found += 1
-    return _median(border)  # type: ignore[no-any-return]
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def picture_figures(
-    reference: F32, image: F32, flow: F32
-) -> tuple[float, float, float, float, float, float, float, float, float, float]:
-    """Compare a picture with the reference; returns fields of `PictureFigures`, all but the last.
-
-    Args:
-        reference: Coarse log contrast without contact, float32 [rows, columns].
-        image: Coarse log contrast now, same shape.
-        flow: Displacement of the image against the reference along x and y [bins], float32
-            [2, rows, columns], of `mixtac_events.frames.displacement`.
-    """
-    sums = np.empty((TILE_ROWS, TILE_COLUMNS, TILE_SUMS), np.float64)
-    _tile_sums(reference, image, flow, sums)
-    tiles = sums.reshape(TILE_ROWS * TILE_COLUMNS, TILE_SUMS)
-    count = tiles.shape[0]
-    likeness, change = np.empty(count), np.empty(count)
-    u, v = np.empty(count), np.empty(count)
-    sharpness = np.empty(count)
-    for index in range(count):
-        tile = tiles[index]
-        for place in range(TILE_SUMS - 1, -1, -1):
-            tile[place] /= tile[0]
-        moved = tile[2] - tile[1] * tile[1] + LEAST_VARIANCE
-        here = tile[4] - tile[3] * tile[3] + LEAST_VARIANCE
-        before = tile[7] - tile[6] * tile[6] + LEAST_VARIANCE
-        likeness[index] = (tile[5] - tile[1] * tile[3] + LEAST_VARIANCE) / np.sqrt(moved * here)
-        sharpness[index] = here / before
-        change[index] = tile[3] - tile[1]
-        u[index], v[index] = tile[8], tile[9]
-    shift_x, shift_y = _median(u), _median(v)
-    shift = min(np.hypot(shift_x, shift_y), np.hypot(_border_median(u), _border_median(v)))
-    middle, squared = _median(change), np.empty(count)
-    total = largest = still = np.float64(0.0)
-    for index in range(count):
-        change[index] = abs(change[index] - middle)
-        u[index] -= shift_x
-        v[index] -= shift_y
-        squared[index] = u[index] * u[index] + v[index] * v[index]
-        total += squared[index]
-        largest = max(largest, squared[index])
-        if squared[index] < STILL_BINS * STILL_BINS:
-            still = max(still, change[index])
-    total += 1e-12
-    _sort(change)
-    _sort(likeness)
-    _sort(sharpness)
-    middle_x = middle_y = outward = np.float64(0.0)
-    for index in range(count):
-        middle_x += squared[index] / total * (index % TILE_COLUMNS)
-        middle_y += squared[index] / total * (index // TILE_COLUMNS)
-    for index in range(count):
-        away_x, away_y = index % TILE_COLUMNS - middle_x, index // TILE_COLUMNS - middle_y
-        distance = np.sqrt(away_x * away_x + away_y * away_y) + 1e-3
-        outward += (u[index] * away_x + v[index] * away_y) / distance / count
-    return (
-        likeness[WORST_TILES],
-        sharpness[0],
-        sharpness[-1],
-        change[-1],
-        still,
-        change[count // 2],
-        shift,
-        np.sqrt(largest),
-        outward,
-        sharpness[count // 2],
-    )
-
 
 MOST_EVENTS_PER_PIXEL = np.float64(2.0)
 """Events of a pixel of a bin between two frames beyond which more count as so many: hot pixels."""
@@ -330,9 +154,7 @@ def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float,
 
 def warm_up() -> None:
     """Compile what a frame needs, so that the first one is not late."""
-    contrast, flow = np.zeros((8, 8), np.float32), np.zeros((2, 8, 8), np.float32)
-    event = np.zeros(1, np.int64)
-    picture_figures(contrast, contrast, flow)
+    contrast, event = np.zeros((8, 8), np.float32), np.zeros(1, np.int64)
     add_signs(event, 4, contrast, contrast)
     marks(event, np.empty(1, np.uint64))
     agreement(contrast, contrast, contrast)

@@ -18,7 +18,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
-from mixtac_fger.validity import Reason
+from mixtac_fger.reasons import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.contact_tracking import Contact, Touch
+    from mixtac_fger.pictures import PictureFigures
     from mixtac_fger.reference import Reference
     from mixtac_fger.shear import Shear
     from mixtac_fger.weights import Model, ModelCard

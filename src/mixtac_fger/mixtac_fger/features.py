@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
-from mixtac_fger.comparisons import PictureFigures, picture_figures
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
 from mixtac_fger.moments import moments
+from mixtac_fger.pictures import PictureFigures, picture_figures
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.int64]

@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.comparisons import TILE_COLUMNS, TILE_ROWS
+from mixtac_fger.pictures import TILE_COLUMNS, TILE_ROWS
 from mixtac_fger.recent_events import Packed, bin_of, column_of, inverse_of, row_of
 
 F32 = NDArray[np.float32]

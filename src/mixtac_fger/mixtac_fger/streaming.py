@@ -33,13 +33,14 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.sequence import Arrival, StreamTime
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger import comparisons, noise_pattern, recent_events
+from mixtac_fger import comparisons, noise_pattern, pictures, recent_events
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
 from mixtac_fger.features import EXPOSED_WINDOWS, correction_lag
 from mixtac_fger.frame_worker import FrameWorker, feel, seen
+from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import Reference, TareError
-from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
+from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Validity
 from mixtac_fger.zero import CONTACT, Zero
 
 if TYPE_CHECKING:
@@ -513,6 +514,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
         Its estimates; none would mean that a part has not been run.
     """
     comparisons.warm_up()
+    pictures.warm_up()
     noise_pattern.warm_up()
     recent_events.warm_up()
     feed = ForceEstimator(estimator, contact=ContactSettings())

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,85 +32,18 @@ from numpy.typing import NDArray
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
 from mixtac_fger.motion_agreement import MotionAgreement, pair_of
 from mixtac_fger.noise_pattern import MEMORY, RARE, SPAN, NoisePattern, least_number
+from mixtac_fger.pictures import picture_findings
+from mixtac_fger.reasons import Reason
 from mixtac_fger.recent_events import Known, RecentWindows
 
 if TYPE_CHECKING:
     from mixtac_events.arrays import Events
-    from mixtac_fger.comparisons import PictureFigures
+    from mixtac_fger.pictures import PictureFigures
 
 F32 = NDArray[np.float32]
 
-
-class Reason(IntEnum):
-    """Why a force cannot be trusted; the numbers are those of `mixtac_msgs/ForceQuality`."""
-
-    TRUSTED = 0
-    PICTURE_UNLIKE_REFERENCE = 1
-    LIGHT_CHANGED = 2
-    FRAME_FROZEN = 3
-    EVENTS_MISSING = 4
-    EVENTS_WITHOUT_MOTION = 5
-    EVENTS_DISAGREE = 6
-    CAMERA_MOVED = 7
-    OTHER_CAMERA = 8
-    ZERO_UNKNOWN = 9
-    OUT_OF_RANGE = 10
-    SATURATED = 11
-    STALE = 12
-
-    @property
-    def text(self) -> str:
-        """One line for people, with what to do."""
-        return TEXTS[self]
-
-
-TEXTS = {
-    Reason.TRUSTED: 'trusted',
-    Reason.PICTURE_UNLIKE_REFERENCE: 'the picture is not that of the reference under any contact:'
-    ' look at the image; after a change of the gel release the sensor and call ~/tare',
-    Reason.LIGHT_CHANGED: 'the light changed beyond what contact explains: check the LEDs, then'
-    ' release the sensor and call ~/tare',
-    Reason.FRAME_FROZEN: 'the camera sends the same frames again and again: restart the driver',
-    Reason.EVENTS_MISSING: 'there are no events, or fewer than at rest, or they pause: check the'
-    ' biases and restart the driver; if so few are right, release the sensor and call ~/tare',
-    Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
-    ' for hot pixels, flicker and biases; if so many are right, release the sensor and call ~/tare',
-    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
-    ' again and again, or many have the same time, or their noise is not that of the pixels: check'
-    ' that both are of the same camera, have its times, and are neither mirrored nor late; after a'
-    ' change of biases release the sensor and call ~/tare',
-    Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
-    ' release the sensor and call ~/tare',
-    Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
-    Reason.ZERO_UNKNOWN: 'the zero is unknown: touch the sensor, release it and call ~/tare, or set'
-    ' assume_free if nothing touched it at the start',
-    Reason.OUT_OF_RANGE: 'the force is outside of what the model was trained on',
-    Reason.SATURATED: 'the sensor sent more events than it can, until the next frame',
-    Reason.STALE: 'the latest frame is too old',
-}
-
-
-LEAST_LIKENESS = ((0.85, -0.15), (0.93, -0.45))
-"""Limits of a picture: a value, and its change per bin that a tile has moved, since large
-displacements are found too small, and beads come and go. The second line holds for small ones: what
-a contact explains, no contact does not. Without a fault 0.86 or more, at rest 0.99; where a tile
-moves by 1.6 bins 0.72."""
-LEAST_FADING, MOST_ROUGHNESS = ((0.4, -0.2), (0.75, -0.7)), ((1.8, 0.3), (1.3, 1.0))
-"""Without a fault 0.63 to 1.31, at rest 0.90 to 1.13. A strong pull that moves a tile by 1.2 bins
-has a fading of 0.26, one by 1.1 bins a roughness of 1.85."""
-LEAST_SHARPNESS, MOST_SHARPNESS = ((0.8, 0.0), (0.92, -0.25)), ((1.25, 0.0), (1.1, 0.3))
-"""Without a fault 0.93 to 1.02 (34 trials), at rest 0.99 to 1.01."""
-MOST_SHADING, MOST_UNEVENNESS = ((0.17, 0.06), (0.04, 0.2)), ((0.03, 0.0), (0.01, 0.05))
-"""Without a fault up to 0.12 and 0.0125, at rest 0.007 and 0.0015 [log units]. A strong pull that
-moves a tile by 1.15 bins has a shading of 0.19 (5.2 hours)."""
-MOST_STILL_SHADING = 0.035
-"""The same of tiles that do not move, however far others do; without a fault 0.021 at most (37
-trials)."""
 MOST_CLIPPED = 0.01
 """Share of the picture that may be white beyond what was at the start; without a fault none is."""
-MOST_SHIFT = ((0.08, 0.01),)
-"""Without a fault up to 0.051 bins; a bin has four pixels. A blow that moves a tile by 1.7 bins has
-a shift of 0.082 (5.2 hours)."""
 FEW_BINS, STRONG_BINS = 3, 10
 """Bins with a strong change from which on events have to tell of it: the first of those of
 `LONGEST_COMPARISON` frames, the second at once; of twice as many, or if events tell of the
@@ -512,37 +444,3 @@ class Validity:
     def _start_over(self) -> None:
         self._before, self._anchor = (0, None), None
         self._agreement.skip()
-
-
-def picture_findings(picture: PictureFigures) -> set[Reason]:
-    """Return what is wrong with a picture; nothing below any contact."""
-    found = set()
-    moved = picture.displacement
-    shaded = picture.shading > _most(MOST_SHADING, moved)
-    shaded |= picture.still_shading > MOST_STILL_SHADING
-    if shaded or picture.unevenness > _most(MOST_UNEVENNESS, moved):
-        found.add(Reason.LIGHT_CHANGED)
-    if picture.shift > _most(MOST_SHIFT, moved):
-        found.add(Reason.CAMERA_MOVED)
-    unlike = is_unlike(picture) or picture.fading < _least(LEAST_FADING, moved)
-    unlike |= picture.roughness > _most(MOST_ROUGHNESS, moved)
-    dull, keen = _least(LEAST_SHARPNESS, moved), _most(MOST_SHARPNESS, moved)
-    if unlike or not dull <= picture.sharpness <= keen:
-        found.add(Reason.PICTURE_UNLIKE_REFERENCE)
-    return found
-
-
-def is_unlike(picture: PictureFigures) -> bool:
-    """Return whether a picture is not that of the reference under any contact."""
-    return picture.likeness < _least(LEAST_LIKENESS, picture.displacement)
-
-
-Lines = tuple[tuple[float, float], ...]
-
-
-def _most(lines: Lines, moved: float) -> float:
-    return min(value + slope * moved for value, slope in lines)
-
-
-def _least(lines: Lines, moved: float) -> float:
-    return max(value + slope * moved for value, slope in lines)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mixtac_fger.pictures import is_unlike
 from mixtac_fger.reference import TareError
-from mixtac_fger.validity import is_unlike
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from mixtac_fger.comparisons import PictureFigures
+    from mixtac_fger.pictures import PictureFigures
     from mixtac_fger.reference import Reference
 
 CONTACT = 0.006

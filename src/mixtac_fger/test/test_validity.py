@@ -15,24 +15,14 @@ from scipy.ndimage import gaussian_filter
 from toy_sensor import EXPOSURE_US, INTERVAL_US
 
 from mixtac_events.arrays import Events
-from mixtac_fger.comparisons import (
-    STRONG_CHANGE,
-    PictureFigures,
-    add_signs,
-    agreement,
-    marks,
-)
+from mixtac_fger.comparisons import STRONG_CHANGE, add_signs, agreement, marks
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
+from mixtac_fger.pictures import PictureFigures, picture_findings
+from mixtac_fger.reasons import Reason
 from mixtac_fger.recent_events import packed
-from mixtac_fger.validity import (
-    FRAMES_KNOWN,
-    HOLD_FRAMES,
-    Reason,
-    Validity,
-    picture_findings,
-)
+from mixtac_fger.validity import FRAMES_KNOWN, HOLD_FRAMES, Validity
 
 WINDOW_US = 2000
 WIDTH = 346

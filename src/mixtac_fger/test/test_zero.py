@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_fger.comparisons import PictureFigures
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.pictures import PictureFigures
 from mixtac_fger.reference import Reference, TareError
 from mixtac_fger.zero import CONTACT, REST_FRAMES, Zero
 

@@ -23,9 +23,9 @@ from scipy.ndimage import binary_dilation
 from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.estimator import Estimate, open_estimator
+from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator
-from mixtac_fger.validity import Reason
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.studies.stream_faults import SEEN, UNSEEN, Stream, stream_of
 from mixtac_lab.store import Piece, Store, code_version, files_version

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mixtac_fger.comparisons import PictureFigures, picture_figures
+from mixtac_fger.pictures import PictureFigures, picture_figures
 
 SHAPE = (60, 80)
 
