@@ -107,7 +107,7 @@ def align(
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
-    console, many = Console(), len(found) > 1
+    console, many = Console(markup=False), len(found) > 1
     timings: dict[Path, SensorTiming] = {}
     if pool and many and method in POOLED:
         names = track(found, 'estimating sensor timing', console=console)
@@ -132,7 +132,7 @@ def align(
     for outcome in outcomes:
         if outcome.damage:
             text = f'warning: {outcome.bag}: {outcome.damage}'
-            console.print(text, style='yellow', markup=False)
+            console.print(text, style='yellow')
     write_json(json, [outcome.as_dict() for outcome in outcomes])
     if any(outcome.fit is None for outcome in outcomes):
         sys.exit(1)

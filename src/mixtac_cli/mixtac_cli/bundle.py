@@ -173,7 +173,7 @@ class Bundle:
             typer.Abort: The answer was no.
             FileError: It cannot be written.
         """
-        table = Table(title=f'{path} will hold', title_justify='left', show_header=False)
+        table = Table(title=escape(f'{path} will hold'), title_justify='left', show_header=False)
         table.add_column(no_wrap=True)
         table.add_column(justify='right', no_wrap=True)
         table.add_column(overflow='fold')

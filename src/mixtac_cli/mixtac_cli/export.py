@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mixtac_alignment.bags import write_fit
@@ -41,8 +42,8 @@ def export(
     imu: ImuOf = '',
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
-    console = Console()
-    columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
+    console = Console(markup=False)
+    columns = (TextColumn('{task.description}', markup=False), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bars:
         bar = bars.add_task(str(recording), total=1.0)
         counts = export_recording(
@@ -65,7 +66,7 @@ def export(
 
 def _warn(console: Console, counts: Counts) -> None:
     for each in counts.warnings():
-        console.print(f'warning: {each}', style='yellow', markup=False)
+        console.print(f'warning: {each}', style='yellow')
 
 
 def import_(
@@ -110,8 +111,8 @@ def import_(
     options = TableOptions(time_unit, force_unit, _size(size))
     if profile or split:
         read_recordings(out.absolute().parent / FILE_NAME)
-    console = Console()
-    with console.status(f'reading {source}'):
+    console = Console(markup=False)
+    with console.status(escape(f'reading {source}')):
         counts = import_recording(
             source,
             out,
@@ -167,7 +168,7 @@ def inspect(
         rows.append((topic, summary.types[topic], count, *counted))
     headings = ('topic', 'type', 'messages', 'events', 'lost packets')
     title = f'{bag}, {summary.duration_s:.1f} s'
-    console = Console()
+    console = Console(markup=False)
     console.print(make_table(title, headings, rows, words=2))
     for topic, events in sorted(summary.events.items()):
         for count, what in (
@@ -175,7 +176,7 @@ def inspect(
             (events.outside, 'events outside of the sensor, left out'),
         ):
             if count:
-                console.print(f'warning: {topic}: {what}: {count}', style='yellow', markup=False)
+                console.print(f'warning: {topic}: {what}: {count}', style='yellow')
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 
@@ -188,7 +189,7 @@ def repair(
 
     Bags become MCAP with an index, checksums and metadata.yaml; AEDAT4 files stay AEDAT4.
     """
-    console = Console()
+    console = Console(markup=False)
     if recording.suffix.lower() == AEDAT4_SUFFIX:
         counts = export_recording(recording, 'aedat4', out, whole=True)
         console.print(f'{out}: {counts.events} events, {counts.frames} frames')
@@ -199,4 +200,4 @@ def repair(
     for topic, count in sorted(repaired.counts.items()):
         console.print(f'{topic}: {count} messages')
     if repaired.damage:
-        console.print(f'warning: {repaired.damage}', style='yellow', markup=False)
+        console.print(f'warning: {repaired.damage}', style='yellow')

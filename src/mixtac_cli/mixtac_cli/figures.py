@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
+from rich.text import Text
 
 from mixtac_node.files import FileError, replacing
 
@@ -29,11 +29,12 @@ def make_table(
     title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], *, words: int = 1
 ) -> Table:
     """Return a table; its first `words` columns are aligned to the left, values to the right."""
-    table = Table(title=escape(title) or None, title_justify='left')
+    # Names may hold square brackets.
+    table = Table(title=Text(title, 'table.title') if title else None, title_justify='left')
     for number, heading in enumerate(headings):
-        table.add_column(escape(heading), justify='left' if number < words else 'right')
+        table.add_column(Text(heading), justify='left' if number < words else 'right')
     for row in rows:
-        table.add_row(*(escape(str(cell)) for cell in row))
+        table.add_row(*(Text(str(cell)) for cell in row))
     return table
 
 

@@ -72,7 +72,7 @@ def simulate(
     if out is None and preview is None:
         raise typer.BadParameter('give --out FOLDER, --preview PICTURE or both')
     plan = _description(profile, dataset, trials, seconds, seed, preset)
-    console = Console()
+    console = Console(markup=False)
     if preview is not None:
         draw_preview(plan.trials[0], preview)
         console.print(f'first trial drawn: {preview}')

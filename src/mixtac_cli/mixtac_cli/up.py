@@ -129,7 +129,7 @@ def up(
         start_nodes(processes, nodes, namespace, params_file, log_level)
         if autostart:
             _activate(namespace, nodes, processes, play=play)
-            Console().print(
+            Console(markup=False).print(
                 f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
             )
         run_until(processes, seconds)
@@ -300,7 +300,9 @@ def view(
     with ProcessGroup() as processes:
         start_nodes(processes, [live_view(port, save)], namespace, params_file)
         target = save or 'the page whose address is printed below'
-        Console().print(f'showing /{namespace.strip("/")} in {target}; press Ctrl-C to stop')
+        Console(markup=False).print(
+            f'showing /{namespace.strip("/")} in {target}; press Ctrl-C to stop'
+        )
         while save is not None and not save.exists():
             run_until(processes, POLL_S)
         run_until(processes, seconds)

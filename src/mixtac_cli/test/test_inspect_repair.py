@@ -74,3 +74,19 @@ def test_a_repair_that_fails_leaves_nothing(recording: Path, capsys) -> None:
     assert main(['repair', str(recording), '--out', str(recording.with_name('out'))]) == 1
     assert list(recording.parent.iterdir()) == [recording]
     assert capsys.readouterr().err
+
+
+def test_square_brackets_in_names_are_shown_as_they_are(recording: Path, tmp_path, capsys) -> None:
+    odd = tmp_path / 'left[bold]' / 'a[' / 'b].aedat4'
+    odd.parent.mkdir(parents=True)
+    recording.rename(odd)
+    out = tmp_path / '[' / 'new]'
+    for line in (
+        ['inspect', str(odd)],
+        ['export', str(odd), '--to', 'csv', '--out', str(out / 'csv')],
+        ['import', str(odd), '--out', str(out / 'bag')],
+        ['repair', str(odd), '--out', str(out / 'whole')],
+    ):
+        assert main(line) == 0
+        shown = capsys.readouterr().out.replace('\n', '')
+        assert ('left[bold]/a[/b].aedat4' if line[0] == 'inspect' else '[/new]') in shown

@@ -74,13 +74,15 @@ def writable(path: Path | None) -> Path | None:
     """Return the path of a file to write, checked before the work whose result it is to hold.
 
     Raises:
-        FileError: It is a folder, or lies in none that can be written or made.
+        FileError: It is a folder, a device or a pipe, or lies in no folder that can be written or
+            made.
     """
     if path is None:
         return None
     try:
-        if not path.name or path.is_dir():
-            raise FileError(f'cannot write {path}: it is a folder', remedy='name a file')
+        # A file that takes its place would replace a device for all programs.
+        if not path.name or (path.exists() and not path.is_file()):
+            raise FileError(f'cannot write {path}: it is no plain file', remedy='name a file')
         folder = next(each for each in path.absolute().parents if each.exists())
         if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             raise FileError(f'cannot write {path}', remedy='choose a writable folder')

@@ -218,10 +218,12 @@ def test_a_missing_file_is_refused(tmp_path):
         read_dataclass(tmp_path / 'none.yaml', Config)
 
 
-@pytest.mark.parametrize('name', ['', 'folder', 'file/below', 'a' * 300])
+@pytest.mark.parametrize('name', ['', 'folder', 'file/below', 'a' * 300, 'pipe', 'device'])
 def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, name):
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'file').touch()
+    os.mkfifo(tmp_path / 'pipe')
+    (tmp_path / 'device').symlink_to(os.devnull)
     with pytest.raises(FileError):
         writable(tmp_path / name)
 

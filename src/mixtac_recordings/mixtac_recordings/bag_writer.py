@@ -20,6 +20,7 @@ from typing import IO
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
+    MessageDefinitionFormat,
     Qos,
     QosDurability,
     QosHistory,
@@ -30,6 +31,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.typesys import TypesysError, get_types_from_msg
 
 from mixtac_node.files import new_folder
 from mixtac_recordings.bag import BagFile, check_new, custom_data, typestore
@@ -156,14 +158,16 @@ class McapBag(Writer):
     def add_like(self, connection: Connection) -> Connection:
         """Announce a topic of another bag and return the handle to write its messages with.
 
-        A type that nobody knows, and that the other bag does not define, is kept by its name.
+        A type that nobody knows, and that the other bag does not define, is kept by its name. The
+        definition of a known type is that of this workspace where the other bag's cannot be read.
 
         Args:
             connection: The topic in the other bag.
         """
         definition, known = connection.msgdef.data, typestore()
         if connection.msgtype in known.fielddefs:
-            definition = definition or known.generate_msgdef(connection.msgtype, ros_version=2)[0]
+            if not _readable(connection):
+                definition, _ = known.generate_msgdef(connection.msgtype, ros_version=2)
             digest = known.hash_rihs01(connection.msgtype)
         else:
             digest = connection.digest or _NO_DIGEST
@@ -180,6 +184,18 @@ class McapBag(Writer):
 
 
 _NO_DIGEST = f'RIHS01_{0:064}'
+
+
+def _readable(connection: Connection) -> bool:
+    """Return whether the library reads the definition of a topic's type that is in its bag."""
+    definition, kind = connection.msgdef, connection.msgtype
+    # It does not read the IDL that comes with ROS.
+    if definition.format is not MessageDefinitionFormat.MSG or not definition.data:
+        return False
+    try:
+        return kind in get_types_from_msg(definition.data, kind)
+    except (TypesysError, ValueError, KeyError, IndexError):
+        return False
 
 
 @dataclass(frozen=True)

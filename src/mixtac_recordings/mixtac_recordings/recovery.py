@@ -3,12 +3,15 @@
 """Files of bags that are cut off or damaged, read as far as they are whole, without their index.
 
 MCAP is read record by record (https://mcap.dev/spec): a chunk with a wrong checksum is left out,
-and the file ends at the first record that is not whole. sqlite3 is read row by row, with the log of
-a recorder that was killed (https://sqlite.org/wal.html).
+and after a record that is not whole reading goes on at the next chunk. Topics whose announcement is
+lost are taken from the end of the file. sqlite3 is read row by row, with the log of a recorder that
+was killed (https://sqlite.org/wal.html).
 """
 
 from __future__ import annotations
 
+import mmap
+import re
 import shutil
 import sqlite3
 import struct
@@ -171,7 +174,9 @@ class McapScan(McapReader):
                 connection = self._channel(data, definitions)
                 found.setdefault(connection.id, connection)
         self.connections = [c._replace(msgcount=counts[c.id]) for c in found.values()]
-        total = sum(counts.values())
+        total = sum(counts[c.id] for c in self.connections)
+        if left_out := counts.total() - total:
+            notes.append(f'{Path(bio.name).name} has {left_out} messages of no topic')
         self.metadata = _with_span(self.metadata, total, start_ns, end_ns)
         self.damage = '; '.join(notes)
 
@@ -193,18 +198,24 @@ class McapScan(McapReader):
         """Yield code and content of schemas, channels and messages; note what is damaged."""
         path = Path(str(self.path))
         at, size, name = len(_MAGIC), path.stat().st_size, path.name
+        summary = False
         while True:
             bio.seek(at)
             head = bio.read(_RECORD.size)
             code, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, size)
-            if code in {_DATA_END, _FOOTER}:
+            whole = _HEADER <= code <= _DATA_END and at + _RECORD.size + length <= size
+            if code == _FOOTER or (summary and not whole):
                 return
-            if at + _RECORD.size + length > size:
-                notes.append(f'{name} was cut off: its last whole record ends at byte {at}')
-                return
-            if not _HEADER <= code < _DATA_END:
-                notes.append(f'{name} is damaged from byte {at} of {size}')
-                return
+            if not whole:
+                place = _next_chunk(bio, at + 1)
+                if place is None and code <= _DATA_END:
+                    notes.append(f'{name} was cut off: its last whole record ends at byte {at}')
+                else:
+                    notes.append(f'{name} is damaged from byte {at} to {place or size}')
+                if place is None:
+                    return
+                at = place
+                continue
             try:
                 if code == _CHUNK:
                     yield from list(_split(_chunk(bio.read(length))))
@@ -212,6 +223,7 @@ class McapScan(McapReader):
                     yield _checked(code, memoryview(bio.read(length)))
             except (ReaderError, DamagedRecordingError, ValueError) as error:
                 notes.append(f'{name} lacks {length} bytes at byte {at}: {error}')
+            summary = summary or code == _DATA_END
             at += _RECORD.size + length
 
     def _channel(
@@ -244,6 +256,22 @@ def _with_span(metadata: ReaderMetadata, total: int, start_ns: int, end_ns: int)
 
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, '')
 _SHORTEST = {_SCHEMA: 14, _CHANNEL: 16, _MESSAGE: 22}
+
+
+_CHUNK_START = re.compile(
+    rb'\x06(?=(.{8}).{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)(.{8}))', re.DOTALL
+)
+
+
+def _next_chunk(bio: BinaryIO, start: int) -> int | None:
+    """Return where the next whole chunk begins that says its length twice; None without one."""
+    with mmap.mmap(bio.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for found in _CHUNK_START.finditer(data, start):
+            length, packed = (int.from_bytes(each, 'little') for each in found.groups())
+            end = found.start() + _RECORD.size + length
+            if end == found.end(2) + packed and end <= len(data):
+                return found.start()
+    return None
 
 
 def _schema(data: memoryview) -> tuple[int, str, MessageDefinition]:

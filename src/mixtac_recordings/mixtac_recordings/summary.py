@@ -85,13 +85,18 @@ def summarise(path: Path) -> BagSummary:
     with BagFile(path) as bag:
         notes = [bag.damage] if bag.damage else []
         counts = {topic: _PacketCount() for topic in bag.topics(EVENTS.type_name)}
+        missing = sum(bag.counts.values())
         try:
             # All topics: only what is read shows its damage.
             for topic, _, data in bag.messages(*bag.types, raw=bag.types):
+                missing -= 1
                 if topic in counts:
                     counts[topic].add_packet(data)
         except DamagedRecordingError as error:
             notes.append(str(error))
+        else:
+            # Chunks without checksums may hold zeros instead of messages.
+            notes += [f'{missing} messages of its index are missing'] if missing > 0 else []
         notes += [f'{topic}: {each.error}' for topic, each in counts.items() if each.error]
         events = {topic: each.summary() for topic, each in counts.items() if not each.error}
         return BagSummary(bag.duration_ns / 1e9, bag.counts, bag.types, events, '; '.join(notes))

@@ -14,6 +14,7 @@ import zlib
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
@@ -21,6 +22,7 @@ from mixtac_recordings import recording
 from mixtac_recordings.bag import BagFile, blank_message, find_bags, typestore
 from mixtac_recordings.bag_writer import McapBag, repair
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
+from mixtac_recordings.summary import summarise
 
 IMAGE, WRENCH = 'sensor_msgs/msg/Image', 'geometry_msgs/msg/WrenchStamped'
 PAGE = 4096
@@ -155,6 +157,64 @@ def test_a_damaged_chunk_costs_its_own_messages_only(mcap, tmp_path):
     assert found == sent[:lost] + sent[lost + after :]
     assert not damage
     assert sum(result.counts.values()) == len(found)
+
+
+@pytest.mark.parametrize('number', [0, 1, 2])
+def test_a_chunk_that_lost_its_length_costs_its_own_messages_only(mcap, tmp_path, number):
+    path, sent = mcap
+    data = bytearray(path.read_bytes())
+    chunks = list(chunk_ends(bytes(data)))
+    # Topics are announced in the first chunk, and again at the end of the file.
+    start = data.index(b'\x06', 8 if number == 0 else chunks[number - 1][0])
+    start = next(at for at in range(start, len(data)) if is_chunk(data, at))
+    data[start : start + 512] = bytes(512)
+    damaged = tmp_path / 'damaged.mcap'
+    damaged.write_bytes(data)
+    result = repair(damaged, tmp_path / 'repaired')
+    assert result.damage
+    counts = [count for _, count in chunks]
+    before, after = sum(counts[:number]), sum(counts[: number + 1])
+    assert contents(tmp_path / 'repaired') == (sent[:before] + sent[after:], '')
+
+
+def is_chunk(data, at):
+    """Return whether the record of a chunk begins at a place."""
+    code, length = struct.unpack_from('<BQ', data, at)
+    return code == 6 and at + 9 + length in dict(chunk_ends(bytes(data)))
+
+
+def test_messages_without_a_topic_are_said_to_be_missing(mcap, tmp_path):
+    path, _ = mcap
+    data = bytearray(path.read_bytes())
+    ends = list(chunk_ends(bytes(data)))
+    data[ends[0][0] // 2] ^= 1
+    damaged = tmp_path / 'damaged.mcap'
+    damaged.write_bytes(data[: ends[2][0]])
+    with pytest.raises(DamagedRecordingError) as error:
+        repair(damaged, tmp_path / 'repaired')
+    assert str(ends[1][1] + ends[2][1]) in str(error.value)
+
+
+def test_zeros_in_a_chunk_without_a_checksum_are_noticed(tmp_path):
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        sent = fill(writer, 20)
+    path = tmp_path / 'bag' / 'bag.mcap'
+    data = bytearray(path.read_bytes())
+    assert not summarise(path.parent).damage
+    place = data.index(sent[10][2])
+    data[place - 31 : place + len(sent[10][2])] = bytes(31 + len(sent[10][2]))
+    path.write_bytes(data)
+    assert summarise(path.parent).damage
+
+
+@pytest.mark.parametrize('text', ['float64 ?', ''])
+def test_a_repaired_bag_is_read_by_others_whatever_its_definitions_were(sqlite, tmp_path, text):
+    change = f"UPDATE message_definitions SET encoded_message_definition = '{text}'"
+    path = rewritten(sqlite, tmp_path, change)
+    repair(path, tmp_path / 'repaired')
+    with AnyReader([tmp_path / 'repaired']) as bag:
+        found = [bag.deserialize(data, each.msgtype) for each, _, data in bag.messages()]
+    assert len(found) == len(sqlite[1])
 
 
 def test_a_repaired_bag_is_like_the_one_before_the_cut(mcap, tmp_path):

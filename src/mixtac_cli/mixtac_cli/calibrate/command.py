@@ -95,7 +95,7 @@ def calibrate(
     ] = False,
 ) -> None:
     """Calibrate the camera with a checkerboard and write a camera_info file."""
-    console = Console()
+    console = Console(markup=False)
     check_model(model)
     out = out or resolve('', name)
     session = CalibrationSession(Board.parse(board, square), model, thorough=thorough)

@@ -68,8 +68,8 @@ def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, Gr
     Raises:
         RecordingError: No bag, no such topic, or no images on it.
     """
-    period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
-    next_ns = 0
+    period_ns = 1e9 / rate_hz if rate_hz > 0.0 else 0.0
+    next_ns = 0.0
     with BagFile(path) as bag:
         kind = bag.types.get(topic)
         if kind not in (None, IMAGE_RAW.type_name):

@@ -96,7 +96,7 @@ def calibrate_force(
     pulls = parse_pulls(sideways_loads, sd_g) if sideways_loads else []
     asked = parse_loads(loads or (CHECK_LOADS if check else DEFAULT_LOADS))
     known = [load_of(grams, sd_g) for grams in asked]
-    console = Console()
+    console = Console(markup=False)
     if bag is not None:
         session = from_bag(bag, content, known, '' if loads else reference, pulls)
     else:

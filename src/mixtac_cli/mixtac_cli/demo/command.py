@@ -82,7 +82,7 @@ def demo(
     ] = None,
 ) -> None:
     """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
-    console = Console()
+    console = Console(markup=False)
     now = dt.datetime.now().astimezone()
     folder = out or Path('demo_out') / f'{now:%Y%m%d-%H%M%S}'
     _private_domain(console)

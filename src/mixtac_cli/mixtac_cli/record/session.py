@@ -76,7 +76,7 @@ def record(
     """Check disk, topics and clocks, record the running sensor, and report the losses."""
     check_new(out)
     read_recordings(out.absolute().parent / FILE_NAME)
-    console = Console(file=cast('TextIO', Display(sys.stdout)))
+    console = Console(file=cast('TextIO', Display(sys.stdout)), markup=False)
     with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
         listener.listen(reference_topic)
         _wait_for_packet(console, listener, wait, stopping)

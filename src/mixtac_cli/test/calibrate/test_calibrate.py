@@ -146,7 +146,9 @@ def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
     assert str(tmp_path / 'none') in str(caught.value)
 
 
-@pytest.mark.parametrize(('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4)])
+@pytest.mark.parametrize(
+    ('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4), (1e-320, 1)]
+)
 def test_a_recording_is_thinned_out(bag, rate, count):
     labels = [label for label, _ in bag_images(bag, TOPIC, rate)]
     assert len(labels) == count

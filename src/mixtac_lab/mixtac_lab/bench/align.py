@@ -286,7 +286,7 @@ def align(
     report: JsonFile = None,
 ) -> None:
     """Measure the error of the clock alignment on simulated trials with known clocks."""
-    console, store = Console(), Store(cache)
+    console, store = Console(markup=False), Store(cache)
     scores = {name: Scores() for name in METHODS}
     groups: dict[str, Scores] = {}
     faults = DamageScores()

@@ -233,7 +233,7 @@ def decode(
 ) -> None:
     """Measure the decoding speed of events and frames, relative to a copy of the same bytes."""
     figures = measure(seconds, megabytes << 20)
-    console = Console()
+    console = Console(markup=False)
     console.print(_table(figures))
     console.print(f'memory copy {figures["memcpy_bytes_per_s"] / 1e9:.1f} GB/s')
     console.print(f'start-up of the decoder, compiled before: {figures["start_s"]:.2f} s')

@@ -305,10 +305,10 @@ def run_session(seed: int, number: int, words: int = SESSION_WORDS) -> Iterator[
 def fuzz(
     words: Annotated[float, typer.Option(min=1, help='Number of words.')] = 1e7,
     seed: Annotated[int, typer.Option(min=0, help='Random seed.')] = 0,
-    only: Annotated[OptionalInt, typer.Option(help='Run only this session.')] = None,
+    only: Annotated[OptionalInt, typer.Option(min=0, help='Run only this session.')] = None,
 ) -> None:
     """Push random and damaged words through the decoder and check its output."""
-    console = Console()
+    console = Console(markup=False)
     done = 0
     with Progress(console=console) as progress:
         task = progress.add_task('words', total=words)

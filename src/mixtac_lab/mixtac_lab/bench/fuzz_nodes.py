@@ -334,7 +334,7 @@ def fuzz_nodes(
     json: JsonFile = None,
 ) -> None:
     """Send random and mutated messages to every topic and service of the nodes; count failures."""
-    console = Console()
+    console = Console(markup=False)
     names = [node] if node is not None else list(nodes(Path()))
     unknown = [name for name in names if name not in nodes(Path())]
     if unknown:
@@ -352,7 +352,7 @@ def fuzz_nodes(
     console.print(make_table('Random and mutated messages', headings, map(_row, runs)))
     for run in runs:
         for error in [*run['errors'], *([run['ended']] if run['ended'] else [])]:
-            console.print(f'{run["node"]}: {error}', markup=False)
+            console.print(f'{run["node"]}: {error}')
     write_json(json, {'seed': seed, 'runs': runs})
     if any(run['errors'] or run['ended'] for run in runs):
         raise typer.Exit(1)

@@ -227,7 +227,7 @@ def infer(
     json: JsonFile = None,
 ) -> None:
     """Measure the estimator on one thread: a simulated trial in real time, frames beside it."""
-    console = Console()
+    console = Console(markup=False)
     with console.status(f'simulating {seconds:g} s, then running them in real time'):
         report = measure(model, seconds, preset)
     _print(console, report)

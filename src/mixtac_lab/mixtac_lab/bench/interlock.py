@@ -97,7 +97,7 @@ def interlock(
     json: JsonFile = None,
 ) -> None:
     """Enable slip control at random, with slips and faults; count broken limits, silent faults."""
-    console = Console()
+    console = Console(markup=False)
     with progress_bar('runs', runs, console) as advance:
         tally = asdict(run_enablings(runs, seed, advance))
     console.print_json(data=tally)

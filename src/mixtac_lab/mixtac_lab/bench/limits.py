@@ -76,7 +76,7 @@ def limits(
     json: JsonFile = None,
 ) -> None:
     """Send random slips through planner and arm controller; count violated joint limits."""
-    console = Console()
+    console = Console(markup=False)
     with progress_bar('sequences', trials, console) as advance:
         tally = asdict(run_trials(trials, seed, advance=advance))
     console.print_json(data=tally)

@@ -195,7 +195,7 @@ def pipeline(
     json: JsonFile = None,
 ) -> None:
     """Measure the age of events at a subscriber, losses, and the largest rate without loss."""
-    console = Console()
+    console = Console(markup=False)
     columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bars:
 
@@ -250,7 +250,7 @@ def compose(
     json: JsonFile = None,
 ) -> None:
     """Measure the age of forces at a subscriber, from separate processes and from one."""
-    console = Console()
+    console = Console(markup=False)
     runs = []
     kinds = [only] if only is not None else list(Kind)
     with console.status('measuring'):
@@ -344,7 +344,7 @@ def two_sensors(
     json: JsonFile = None,
 ) -> None:
     """Measure rates, ages and CPU of two virtual sensors with two estimators at once."""
-    console = Console()
+    console = Console(markup=False)
     with console.status('measuring'):
         report = run_two(seconds, together=single_process)
     console.print(_sensors_table(report))

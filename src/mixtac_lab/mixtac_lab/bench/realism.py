@@ -243,7 +243,7 @@ def realism(
     json: JsonFile = None,
 ) -> None:
     """Compare the statistics of real recordings with those of the virtual sensor."""
-    console = Console()
+    console = Console(markup=False)
     real = {path.name: of_recording(path) for path in recordings}
     chosen = effects.preset(preset)
     virtual = {f'virtual, {scene}': of_virtual_sensor(scene, seconds, chosen) for scene in SCENES}
@@ -255,7 +255,7 @@ def realism(
     letters = [chr(ord('A') + k) for k in range(len(real))]
     console.print(make_table('statistics', ('', *letters, *SCENES, 'compared'), rows))
     for letter, name in zip(letters, real, strict=True):
-        console.print(f'{letter}: {name}', markup=False)
+        console.print(f'{letter}: {name}')
     console.print(f'{", ".join(SCENES)}: the virtual sensor, simulated')
     apart = far_apart(real.values(), virtual.values())
     for name, factor in apart.items():

@@ -308,7 +308,7 @@ def recovery(
     seed: Annotated[int, typer.Option(min=0, help='Random seed of the faults.')] = 0,
 ) -> None:
     """Inject random faults into a streaming virtual camera; measure how the driver recovers."""
-    console = Console()
+    console = Console(markup=False)
     with progress_bar('faults', faults, console) as advance:
         report = run_recovery_benchmark(faults, seed, on_fault=advance)
     rows = {**report['by_fault'], 'all': report['recovery_s']}

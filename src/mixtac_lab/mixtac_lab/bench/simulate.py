@@ -191,7 +191,7 @@ def simulate(
     preset: Preset = 'paper_like',
 ) -> None:
     """Measure the speed of the virtual sensor: full chain with USB on one core, bags on two."""
-    console = Console()
+    console = Console(markup=False)
     with console.status('simulating'):
         figures = measure(seconds, preset)
     factors = [

@@ -295,7 +295,7 @@ def slip(
     ] = None,
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
-    console, store, jobs = Console(), Store(keep), jobs or os.cpu_count() or 1
+    console, store, jobs = Console(markup=False), Store(keep), jobs or os.cpu_count() or 1
     if quick:
         trials, quiet_minutes, curve_trials, dds_seconds, loads = QUICK_TRIALS, 0.0, 0, 0.0, 0
     margins = MARGINS if margin is None else (margin,)

@@ -182,7 +182,7 @@ def soak(
     json: JsonFile = None,
 ) -> None:
     """Run the graph for hours; measure rates, losses, and slopes of memory and of the zero."""
-    console = Console()
+    console = Console(markup=False)
     with Progress(console=console, transient=True) as bars:
         bar = bars.add_task('running', total=3600.0 * hours)
         done = lambda seconds: bars.update(bar, completed=seconds)  # noqa: E731

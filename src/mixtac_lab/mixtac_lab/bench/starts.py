@@ -50,7 +50,7 @@ def starts(
     """Start the virtual sensor by its launch file and end it by SIGINT, many times."""
     if shutil.which('ros2') is None:
         raise GraphError('ros2 is not installed', remedy='source a ROS 2 installation')
-    console = Console()
+    console = Console(markup=False)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with (
         tempfile.TemporaryDirectory(prefix='mixtac-') as folder,
@@ -78,7 +78,7 @@ def starts(
     )
     for run in runs:
         for line in run['faults']:
-            console.print(line, markup=False)
+            console.print(line)
     write_json(json, report)
     if report['clean'] < report['count']:
         raise typer.Exit(1)

@@ -203,7 +203,14 @@ def experiment(
         ) -> None:
             names = select([function.__name__, *(more or [])])
             run_experiments(
-                Console(), names, quick=quick, json=json, out=out, bags=bags, seeds=seeds, jobs=jobs
+                Console(markup=False),
+                names,
+                quick=quick,
+                json=json,
+                out=out,
+                bags=bags,
+                seeds=seeds,
+                jobs=jobs,
             )
 
         command.__doc__ = function.__doc__

@@ -285,7 +285,7 @@ def run_adaptation(
         MixtacError: A bag or the model cannot be used.
     """
     torch.set_num_threads(1)
-    console = Console()
+    console = Console(markup=False)
     start = read_model(model)
     network = network_of(start)
     known, pulls = ([parse_load(text) for text in texts] for texts in (loads, sideways))

@@ -120,7 +120,7 @@ def run_evaluation(
         chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
         content |= {'simulated': chosen, 'metrics': {'unseen_devices': rows}}
     content['skipped'] = judged.skipped
-    console = Console()
+    console = Console(markup=False)
     show_figures(console, title, rows)
     show_skipped(console, judged.skipped)
     if figures is not None:

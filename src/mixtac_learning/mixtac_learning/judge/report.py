@@ -231,7 +231,7 @@ def _fitting(names: Sequence[str], width: int) -> Iterator[list[str]]:
 def show_skipped(console: Console, skipped: Mapping[str, str]) -> None:
     """Print which trials were left out and why."""
     for name, reason in skipped.items():
-        console.print(f'[yellow]left out[/yellow] {name}: {reason}', highlight=False)
+        console.print(f'left out {name}: {reason}', style='yellow', highlight=False)
 
 
 _ROWS = 4

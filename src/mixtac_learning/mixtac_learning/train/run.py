@@ -354,7 +354,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         MixtacError: As `train_model`, or a file cannot be written.
     """
     processes = Processes.join()
-    console = Console(quiet=not processes.leads)
+    console = Console(quiet=not processes.leads, markup=False)
     # Small networks: more threads wait for each other longer than they help.
     torch.set_num_threads(1)
     try:
@@ -389,7 +389,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         try:
             metrics = judge_trained(config, trained)
         except MixtacError as error:
-            console.print(f'[yellow]not judged[/yellow]: {error}', highlight=False)
+            console.print(f'not judged: {error}', style='yellow', highlight=False)
         for title, figures in metrics.items():
             show_figures(console, title.replace('_', ' '), figures)
         card = ModelCard(trained.model.card.training, metrics)

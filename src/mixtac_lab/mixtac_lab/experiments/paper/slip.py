@@ -71,7 +71,7 @@ def grasps(
     report: JsonFile = None,
 ) -> None:
     """Hold cup, box and ball against the paper's knock, simulated, beside the paper's values."""
-    console, store = Console(), Store(keep)
+    console, store = Console(markup=False), Store(keep)
     outcome: dict[str, Any] = {'simulated': True, 'margin': margin, 'preset': preset}
     courses: dict[str, list[NDArray[np.float64]]] = {}
     for at, (name, number) in enumerate(PAPER_TRIALS.items()):

@@ -481,7 +481,7 @@ def tones(
         )
     headings = ('peak [um]', 'tone [Hz]', 'events above rest [1/s]', *TONE_SIGNALS.values())
     title = f'vibration, {preset}, simulated: mean over {devices} sensors'
-    console = Console()
+    console = Console(markup=False)
     console.print(make_table(title, headings, shown))
     console.print('line over median; in brackets: sensors on which it is the largest peak')
     flat = [each for row in rows for each in row]

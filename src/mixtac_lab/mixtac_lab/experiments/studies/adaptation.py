@@ -202,7 +202,7 @@ def adaptation(
 ) -> None:
     """Test a model on unseen simulated sensors: unchanged, with a gain, and adapted."""
     torch.set_num_threads(1)
-    console = Console()
+    console = Console(markup=False)
     found = adaptation_study(read_model(find_model(model)), sensors, out / 'trials', console.print)
     rows = {name: found[name] for name in (BEFORE, WEIGHTS, ONE_GAIN, ADAPTED)}
     show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)

@@ -122,7 +122,7 @@ def alignment(
     pieces = [
         Piece(f'clocks_{n}_s{k}', train_and_test, (n, k, *settings), version) for n, k in cases
     ]
-    console = Console()
+    console = Console(markup=False)
     results = Store(out).run_shown('learning', pieces, console)
     figures: dict[str, Any] = {name: {'trainings': {}} for name in LABELS}
     for (name, seed), found in zip(cases, results, strict=True):

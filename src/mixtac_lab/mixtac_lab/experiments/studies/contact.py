@@ -198,7 +198,9 @@ def contact(
         for row in rows
     ]
     headings = ('error of', 'contact', *(name.replace('_', ' ') for name in names), 'target')
-    Console().print(make_table(f'contact, {count} unseen sensors, simulated', headings, shown))
+    Console(markup=False).print(
+        make_table(f'contact, {count} unseen sensors, simulated', headings, shown)
+    )
     gains = [{name: each[name] for name in each if name != 'cases'} for each in sensors]
     result = {'model': str(find_model(model)), 'quick': quick, 'simulated': True}
     write_json(json, {**result, 'gains': gains, 'anchors': ANCHORS, 'rows': rows})

@@ -252,7 +252,7 @@ def contact_place(
         rows = contact_rows(*measure(loaded, sensors, object_radius, advance))
     shown = [(r['what'], f'{r["value"]:g} {r["unit"]}', r['target'], r['n']) for r in rows]
     headings = ('contact', 'found', 'wanted', 'of')
-    Console().print(make_table(f'contacts, {PRESET}, simulated', headings, shown))
+    Console(markup=False).print(make_table(f'contacts, {PRESET}, simulated', headings, shown))
     result = {'model': str(find_model(model)), 'simulated': True, 'object_radius': object_radius}
     write_json(json, {**result, 'sensors': sensors, 'rows': rows})
 

@@ -314,7 +314,9 @@ def difficulty(
         figures = _judge_all(loaded, specs, presses, advance)
         figures |= _integrate_all(loaded.config['reference_frames'], specs, advance)
     shown = [(name.replace('_', ' '), f'{value:.4g}') for name, value in figures.items()]
-    Console().print(make_table(f'dynamic, {preset}, simulated', ('figure', 'value'), shown))
+    Console(markup=False).print(
+        make_table(f'dynamic, {preset}, simulated', ('figure', 'value'), shown)
+    )
     write_json(json, {'preset': preset, 'model': str(find_model(model)), **figures})
 
 
@@ -348,7 +350,9 @@ def ablation(
         for name, row in rows.items()
     ]
     headings = ('off', 'MAE [N]', 'share of the error', 'frames only [N]')
-    Console().print(make_table(f'dynamic, {preset}, simulated: one effect off', headings, shown))
+    Console(markup=False).print(
+        make_table(f'dynamic, {preset}, simulated: one effect off', headings, shown)
+    )
     write_json(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
 
 

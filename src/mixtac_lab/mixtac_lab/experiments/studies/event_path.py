@@ -206,7 +206,7 @@ def event_path(
     for name in features[0]:
         r2 = [linear_r2([each[name] for each in features], forces, n) for n in WINDOWS]
         linear.append({'features': name, 'r2': [round(each, 3) for each in r2]})
-    console = Console()
+    console = Console(markup=False)
     headings = ('R2 of a linear map from', *(f'{2 * n} ms' for n in WINDOWS))
     lines = [(row['features'], *(f'{each:.2f}' for each in row['r2'])) for row in linear]
     console.print(make_table(f'changes of the force, {size}, simulated', headings, lines))

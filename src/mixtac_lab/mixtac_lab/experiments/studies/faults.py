@@ -312,7 +312,7 @@ def faults(
         *(Piece('start', judge_start, (weights, each), version) for each in held),
         *(Piece('good', judge_good, (weights, each), version) for each in good),
     ]
-    console, title = Console(), 'faults, starts, trials without a fault'
+    console, title = Console(markup=False), 'faults, starts, trials without a fault'
     found = Store(out).run_shown(title, pieces, console, jobs)
     by_sensor, begun = found[:sensors], found[sensors : sensors + starts]
     alarms = false_alarms(found[-len(good) :])

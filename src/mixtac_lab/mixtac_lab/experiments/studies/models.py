@@ -312,7 +312,7 @@ def models(
     ):
         if name not in known:
             raise ConfigError(f'unknown {kind} {name!r}', remedy=f'choose from {", ".join(known)}')
-    console = Console()
+    console = Console(markup=False)
     with Progress(console=console, transient=True) as progress:
         context = Context(TABLE_SIZES[size], out, seeds, jobs, None, progress)
         names = [name for name in ALL_ROWS if name in chosen]

@@ -138,6 +138,8 @@ def zero(
         'mean [N]',
         'largest zero [N]',
     )
-    Console().print(make_table(f'zero after a contact, {PRESET}, simulated', headings, shown))
+    Console(markup=False).print(
+        make_table(f'zero after a contact, {PRESET}, simulated', headings, shown)
+    )
     result = {'model': str(find_model(model)), 'quick': quick, 'simulated': True}
     write_json(json, {**result, 'sensors': sensors, 'within_n': WITHIN_N, 'rows': rows})
