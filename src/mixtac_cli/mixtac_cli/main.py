@@ -126,12 +126,12 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         result = group('')(arguments, prog_name='mixtac', standalone_mode=False)
     except MixtacError as error:
-        print(f'error: {error}', file=sys.stderr)
+        _say(str(error))
         return 1
     except OSError as error:
         # A disk that is full, a name that is too long: what a path meets outside of the program.
         place = f'{error.filename}: ' if error.filename else ''
-        print(f'error: {place}{error.strerror or error}', file=sys.stderr)
+        _say(f'{place}{error.strerror or error}')
         return 1
     except typer.Exit as leave:
         return leave.exit_code
@@ -143,6 +143,12 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         # Empty if the help was printed because no command was given.
         if text := error.format_message():
-            print(f'error: {text}', file=sys.stderr)
+            _say(text)
         return 2
     return result if isinstance(result, int) else 0
+
+
+def _say(text: str) -> None:
+    # Names of files may hold new lines, and what terminals obey.
+    line = ''.join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+    print(f'error: {line}', file=sys.stderr)

@@ -90,3 +90,10 @@ def test_square_brackets_in_names_are_shown_as_they_are(recording: Path, tmp_pat
         assert main(line) == 0
         shown = capsys.readouterr().out.replace('\n', '')
         assert ('left[bold]/a[/b].aedat4' if line[0] == 'inspect' else '[/new]') in shown
+
+
+def test_an_error_is_one_line_whatever_a_name_holds(tmp_path, capsys) -> None:
+    assert main(['inspect', str(tmp_path / 'odd\n\x1b[2Jname')]) == 1
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert '\x1b' not in error
