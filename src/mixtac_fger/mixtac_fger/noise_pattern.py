@@ -103,7 +103,7 @@ def tiles_of(rows: int, columns: int) -> NDArray[np.uint8]:
 
 
 @njit(cache=True, nogil=True)
-def least_number(usual: float, rare: float = RARE, share: float = LEAST_RATE) -> float:
+def least_number(usual: float, rare: float, share: float) -> float:
     """Return the number of events below which a sensor, or a part of it, is silent.
 
     Args:
@@ -171,9 +171,9 @@ def count_silent(
         recent[part] += (counts[part] - recent[part]) / MEMORY
         number, before = SPAN * recent[part], SPAN * usual[part]
         if part < TILES:
-            tiles += number < least_number(before)
+            tiles += number < least_number(before, RARE, LEAST_RATE)
         else:
-            lines += number < least_number(before, RARE_LINE)
+            lines += number < least_number(before, RARE_LINE, LEAST_RATE)
     return tiles, lines
 
 
@@ -371,7 +371,7 @@ def warm_up() -> None:
     )
     pattern_sums(event, 4, tiles_of(8, 8), pattern, there, sums, counts)
     unevenness(counts[:TILES], counts[:TILES])
-    least_number(0.0)
+    least_number(0.0, RARE, LEAST_RATE)
     weigh(sums, counts, sums, counts)
     count_silent(counts, counts, counts)
     add_seen(there, 0.5, pattern)

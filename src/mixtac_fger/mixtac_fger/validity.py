@@ -32,7 +32,14 @@ from numpy.typing import NDArray
 
 from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
 from mixtac_fger.motion_agreement import MotionAgreement, pair_of
-from mixtac_fger.noise_pattern import MEMORY, RARE, SPAN, NoisePattern, least_number
+from mixtac_fger.noise_pattern import (
+    LEAST_RATE,
+    MEMORY,
+    RARE,
+    SPAN,
+    NoisePattern,
+    least_number,
+)
 from mixtac_fger.pictures import picture_findings
 from mixtac_fger.reasons import Reason
 from mixtac_fger.recent_events import Known, RecentWindows
@@ -221,7 +228,8 @@ class Validity:
             usual = count * self._rest[sign]
             self._recent[sign] += (number - self._recent[sign]) / MEMORY
             few = SPAN * self._recent[sign] < least_number(SPAN * usual, RARE, LEAST_RECENT)
-            if number < least_number(usual) or (few and self._rests >= RESTS_KNOWN):
+            silent = number < least_number(usual, RARE, LEAST_RATE)
+            if silent or (few and self._rests >= RESTS_KNOWN):
                 self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
         self._again += self._marks.add(self._room[:found]) - FORGOTTEN * self._again
         wrong = self._again > MOST_AGAIN or twice > MOST_TWICE
