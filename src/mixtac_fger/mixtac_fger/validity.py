@@ -112,8 +112,8 @@ LEAST_RECENT = 0.6
 """ON, or OFF, events of the latest 100 ms over those at rest; without a fault 0.78 and more (42
 trials)."""
 LONGEST_PAUSE = 5.0
-"""Longest pause between two events of a stretch over its mean at rest; without a fault 2.4 at most
-(42 trials), 3.5 in real events."""
+"""Longest pause between two events of a stretch over its mean at rest; without a fault 2.6 at most
+(95 trials), 3.5 in real events."""
 MOST_TWICE = 8
 """Events of a stretch that are the one before once more; without a fault 1 at most."""
 LEAST_EVEN = 40
