@@ -170,7 +170,7 @@ class Validity:
         self._signs = np.zeros((0, 0), np.float32)
         self._stretch = self._age = self._untold = self._low = 0
         self._recent = [self._pattern.windows * each for each in self._rest]
-        self._busy = self._vibrating = self._foreign = self._unlike = False
+        self._busy = self._vibrating = self._foreign = self._unlike = self._spoilt = False
         self._agreement = MotionAgreement()
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
         self._frames: deque[int] = deque(maxlen=FRAMES_KNOWN)
@@ -311,7 +311,8 @@ class Validity:
 
     def _look(self, picture: PictureFigures, *, blow: bool) -> set[Reason]:
         """Return what is wrong with the picture of a frame."""
-        found = picture_findings(picture)
+        # A contact, which widens the limits, does not make good what was wrong before it.
+        found = picture_findings(picture._replace(displacement=0.0) if self._spoilt else picture)
         if self._white is None:
             self._white = picture.clipped
         if picture.clipped > self._white + MOST_CLIPPED:
@@ -320,8 +321,11 @@ class Validity:
             # A contact may hide what is white.
             self._white += RISE * max(picture.clipped - self._white, 0.0)
         before, self._unlike = self._unlike, bool(found)
-        # A frame in a blow is a mixture of pictures, unless the next one is like it.
-        return set() if blow and not before else found
+        if blow and not before:
+            # A mixture of pictures, unless the next one is like it.
+            return set()
+        self._spoilt = bool(found)
+        return found
 
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
         """Return what the frame says about the events since the frames before it."""

@@ -259,21 +259,34 @@ def test_what_disagreed_is_not_trusted_until_it_agrees():
     assert moved[-1] is Reason.TRUSTED
 
 
+PRESSED = PictureFigures(
+    likeness=1.0,
+    fading=1.0,
+    roughness=1.0,
+    shading=0.1,
+    still_shading=0.02,
+    unevenness=0.0,
+    shift=0.0,
+    displacement=1.0,
+    outward=0.5,
+    sharpness=1.0,
+)
+
+
 def test_tiles_that_do_not_move_keep_their_light_however_far_others_move():
-    sound = PictureFigures(
-        likeness=1.0,
-        fading=1.0,
-        roughness=1.0,
-        shading=0.1,
-        still_shading=0.02,
-        unevenness=0.0,
-        shift=0.0,
-        displacement=1.0,
-        outward=0.5,
-        sharpness=1.0,
-    )
-    assert not picture_findings(sound)
-    assert picture_findings(sound._replace(still_shading=0.05)) == {Reason.LIGHT_CHANGED}
+    assert not picture_findings(PRESSED)
+    assert picture_findings(PRESSED._replace(still_shading=0.05)) == {Reason.LIGHT_CHANGED}
+
+
+def test_a_contact_does_not_make_good_what_was_wrong_before_it():
+    validity, said = Validity(WINDOW_US, WIDTH), []
+    free = PRESSED._replace(shading=0.0, still_shading=0.0, displacement=0.0, outward=0.0)
+    for picture in (PRESSED, free._replace(shading=0.05), PRESSED, free, PRESSED):
+        for _ in range(2 * HOLD_FRAMES):
+            validity.frame(0, None, picture, 0.0, None)
+        said.append(validity.reason)
+    wrong = [Reason.LIGHT_CHANGED] * 2
+    assert said == [Reason.TRUSTED, *wrong, Reason.TRUSTED, Reason.TRUSTED]
 
 
 def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, frames):
