@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
-from toy_sensor import EXPOSURE_US, INTERVAL_US
+from toy_sensor import EXPOSURE_US, INTERVAL_US, SOUND
 
 from mixtac_events.arrays import Events
 from mixtac_fger.comparisons import STRONG_CHANGE, add_signs, agreement, marks
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
-from mixtac_fger.pictures import PictureFigures, picture_findings
+from mixtac_fger.pictures import picture_findings
 from mixtac_fger.reasons import Reason
 from mixtac_fger.recent_events import packed
 from mixtac_fger.validity import FRAMES_KNOWN, HOLD_FRAMES, Validity
@@ -259,18 +259,7 @@ def test_what_disagreed_is_not_trusted_until_it_agrees():
     assert moved[-1] is Reason.TRUSTED
 
 
-PRESSED = PictureFigures(
-    likeness=1.0,
-    fading=1.0,
-    roughness=1.0,
-    shading=0.1,
-    still_shading=0.02,
-    unevenness=0.0,
-    shift=0.0,
-    displacement=1.0,
-    outward=0.5,
-    sharpness=1.0,
-)
+PRESSED = SOUND._replace(shading=0.1, still_shading=0.02, displacement=1.0, outward=0.5)
 
 
 def test_tiles_that_do_not_move_keep_their_light_however_far_others_move():
@@ -280,8 +269,7 @@ def test_tiles_that_do_not_move_keep_their_light_however_far_others_move():
 
 def test_a_contact_does_not_make_good_what_was_wrong_before_it():
     validity, said = Validity(WINDOW_US, WIDTH), []
-    free = PRESSED._replace(shading=0.0, still_shading=0.0, displacement=0.0, outward=0.0)
-    for picture in (PRESSED, free._replace(shading=0.05), PRESSED, free, PRESSED):
+    for picture in (PRESSED, SOUND._replace(shading=0.05), PRESSED, SOUND, PRESSED):
         for _ in range(2 * HOLD_FRAMES):
             validity.frame(0, None, picture, 0.0, None)
         said.append(validity.reason)

@@ -6,25 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from toy_sensor import SOUND
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.pictures import PictureFigures
 from mixtac_fger.reference import Reference, TareError
 from mixtac_fger.zero import CONTACT, REST_FRAMES, Zero
-
-SOUND = PictureFigures(
-    likeness=1.0,
-    fading=1.0,
-    roughness=1.0,
-    shading=0.0,
-    still_shading=0.0,
-    unevenness=0.0,
-    shift=0.0,
-    displacement=0.0,
-    outward=0.0,
-    sharpness=1.0,
-)
 
 
 def picture(outward: float, likeness: float = 1.0) -> PictureFigures:
