@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -131,18 +133,27 @@ def test_torch_without_cuda_is_tried_first(tool, monkeypatch, tmp_path):
     assert len(calls) == 2
 
 
-def test_pip_installs_where_uv_cannot(tool, monkeypatch, tmp_path):
-    calls = []
+def test_uv_has_index_and_certificates_of_pip_which_installs_where_uv_cannot(
+    tool, monkeypatch, tmp_path
+):
+    calls, told = [], {}
 
-    def call(command, _failure):
+    def call(command, _failure, env=None):
         calls.append(command)
         if command[0].endswith('uv'):
+            told.update(env)
             raise tool.SetupError('no such registry')
 
     monkeypatch.setattr(tool, 'call', call)
-    files = [tmp_path / 'base.txt']
-    tool.install_files(tmp_path, files)
-    assert calls[-1][:4] == tool.pip_install(tmp_path)[:4]
+    monkeypatch.delenv('SSL_CERT_FILE', raising=False)
+    monkeypatch.setenv('PIP_CERT', "/it's/there.pem")
+    monkeypatch.setenv('PIP_INDEX_URL', 'https://mirror.example/simple?a=b')
+    venv, files = Path(sys.prefix), [tmp_path / 'base.txt']
+    tool.install_files(venv, files)
+    assert told['SSL_CERT_FILE'] == "/it's/there.pem"
+    assert told['UV_DEFAULT_INDEX'] == 'https://mirror.example/simple?a=b'
+    assert told['PATH'] == os.environ['PATH']
+    assert calls[-1][:4] == tool.pip_install(venv)[:4]
     assert calls[-1][-2:] == ['-r', str(files[0])]
 
 

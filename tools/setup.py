@@ -12,6 +12,7 @@ only: this is the first thing that runs on a fresh machine.
 from __future__ import annotations
 
 import argparse
+import ast
 import contextlib
 import fcntl
 import os
@@ -90,18 +91,34 @@ def pip_install(venv: Path) -> list[str]:
     return [str(venv / 'bin' / 'python'), '-m', 'pip', 'install', '--disable-pip-version-check']
 
 
+def pip_settings(venv: Path) -> dict[str, str]:
+    """Return what pip is told by its files and by the environment, by the name of the option."""
+    command = [str(venv / 'bin' / 'python'), '-m', 'pip', 'config', 'list']
+    listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    pairs = dict(line.split('=', 1) for line in listed.splitlines() if '=' in line)
+    return {
+        name.removeprefix(scope): ast.literal_eval(value)
+        for scope in ('global.', 'install.', ':env:.')
+        for name, value in pairs.items()
+        if name.startswith(scope)
+    }
+
+
 def install_files(venv: Path, files: list[Path]) -> None:
     """Install what requirements files name with uv, or with pip where uv cannot.
 
-    uv takes a ninth of pip's time here. It does not read pip's configuration, though, so behind
-    a registry that only pip knows it fails and pip does the work.
+    uv takes a ninth of pip's time here. Of pip's configuration it is told the index and the
+    certificates; where that is not enough, pip does the work.
     """
     arguments = [part for path in files for part in ('-r', str(path))]
+    settings = pip_settings(venv)
+    told = {'UV_DEFAULT_INDEX': 'index-url', 'SSL_CERT_FILE': 'cert'}
+    env = {name: settings[key] for name, key in told.items() if key in settings} | os.environ
     with tempfile.TemporaryDirectory() as folder:
         try:
             call([*pip_install(venv), '--no-compile', '--target', folder, UV], PIP_FAILED)
             uv = [str(Path(folder) / 'bin' / 'uv'), 'pip', 'install']
-            call([*uv, '--python', str(venv / 'bin' / 'python'), *arguments], PIP_FAILED)
+            call([*uv, '--python', str(venv / 'bin' / 'python'), *arguments], PIP_FAILED, env)
         except SetupError:
             say('uv cannot install here (see log/setup.log): pip does, more slowly')
             call([*pip_install(venv), *arguments], PIP_FAILED)
