@@ -487,6 +487,22 @@ class ForceCalibration:
         return float(np.mean([abs(point.residual_n) for point in self.points]))
 
 
+def check_loads(loads: Sequence[Load]) -> None:
+    """Refuse loads that tell no gain, whatever the sensor says under them.
+
+    Raises:
+        ForceCalibrationError: There are too few, or all are alike.
+    """
+    sizes = [load.force_n for load in loads]
+    if len(sizes) < FEWEST or max(sizes) < ANOTHER * min(sizes):
+        values = ', '.join(f'{size:.3f}' for size in sizes)
+        raise ForceCalibrationError(
+            f'loads of {values} N: one fits the gain, and one that is larger by'
+            f' {ANOTHER - 1.0:.0%} or more checks it',
+            'few',
+        )
+
+
 def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibration:
     """Fit the gain to known loads; see the module for the model.
 
@@ -498,14 +514,7 @@ def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibra
         ForceCalibrationError: There are too few loads, or the gain is impossible, or the loads
             disagree.
     """
-    sizes = [load.force_n for load in loads]
-    if len(sizes) < FEWEST or max(sizes) < ANOTHER * min(sizes):
-        values = ', '.join(f'{size:.3f}' for size in sizes)
-        raise ForceCalibrationError(
-            f'loads of {values} N: one fits the gain, and one that is larger by'
-            f' {ANOTHER - 1.0:.0%} or more checks it',
-            'few',
-        )
+    check_loads(loads)
     force, seen, gain, variance = _regression(loads, plateaus)
     if not GAINS[0] < gain < GAINS[1]:
         raise ForceCalibrationError(

@@ -24,6 +24,7 @@ from mixtac_fger.force_calibration import (
     ForceCalibration,
     ForceCalibrationError,
     check_gain,
+    check_loads,
     fit_gain,
     load_of,
 )
@@ -96,6 +97,8 @@ def calibrate_force(
     pulls = parse_pulls(sideways_loads, sd_g) if sideways_loads else []
     asked = parse_loads(loads or (CHECK_LOADS if check else DEFAULT_LOADS))
     known = [load_of(grams, sd_g) for grams in asked]
+    if not check:
+        check_loads(known)
     console = Console(markup=False)
     if bag is not None:
         session = from_bag(bag, content, known, '' if loads else reference, pulls)

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 from mixtac_cli.calibrate_force import session
 from mixtac_cli.calibrate_force.command import calibrate_force, parse_loads
+from mixtac_cli.calibrate_force.live import LiveProcedure
 from mixtac_events.arrays import Events
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
@@ -244,6 +245,14 @@ def test_what_cannot_be_written_or_checked_is_refused_first(bag, tmp_path):
         ('--bag', bag, '--check'),
     ):
         assert isinstance(calibrate(*words).exception, ModelError)
+
+
+def test_too_few_loads_are_refused_before_anything_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(LiveProcedure, 'run', None)
+    for loads in ('100', '100,105'):
+        result = calibrate('--loads', loads, '--out', tmp_path / 'm.safetensors')
+        assert isinstance(result.exception, ForceCalibrationError)
+        assert result.exception.reason == 'few'
 
 
 def test_loads_are_grams():
