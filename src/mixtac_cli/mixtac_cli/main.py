@@ -22,7 +22,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from mixtac_events.errors import MixtacError
+from mixtac_events.errors import MixtacError, error_line
 
 GROUP = 'mixtac.commands'
 INTERRUPTED = 130
@@ -126,12 +126,12 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         result = group('')(arguments, prog_name='mixtac', standalone_mode=False)
     except MixtacError as error:
-        _say(str(error))
+        print(error_line(str(error)), file=sys.stderr)
         return 1
     except OSError as error:
         # A disk that is full, a name that is too long: what a path meets outside of the program.
         place = f'{error.filename}: ' if error.filename else ''
-        _say(f'{place}{error.strerror or error}')
+        print(error_line(f'{place}{error.strerror or error}'), file=sys.stderr)
         return 1
     except typer.Exit as leave:
         return leave.exit_code
@@ -143,12 +143,6 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         # Empty if the help was printed because no command was given.
         if text := error.format_message():
-            _say(text)
+            print(error_line(text), file=sys.stderr)
         return 2
     return result if isinstance(result, int) else 0
-
-
-def _say(text: str) -> None:
-    # Names of files may hold new lines, and what terminals obey.
-    line = ''.join(each if each.isprintable() else repr(each)[1:-1] for each in text)
-    print(f'error: {line}', file=sys.stderr)

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The base class of every error that users may see; apart, because all modules import it."""
+"""The base class of every error that users may see, and the line that says it.
+
+Apart, because all modules import it.
+"""
 
 from __future__ import annotations
 
@@ -31,3 +34,15 @@ class MixtacError(Exception):
     def __str__(self) -> str:
         """Return the message and, after a semicolon, the remedy."""
         return f'{self.message}; {self.remedy}' if self.remedy else self.message
+
+
+ERROR = 'error: '
+"""Begins the line on stderr with which a command or a node that failed ends."""
+
+
+def error_line(text: str) -> str:
+    """Return the one line that says why a process ends.
+
+    Names of files may hold new lines, and what terminals obey: both are shown as escapes.
+    """
+    return ERROR + ''.join(each if each.isprintable() else repr(each)[1:-1] for each in text)

@@ -33,10 +33,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from mixtac_events.errors import MixtacError
+from mixtac_events.errors import MixtacError, error_line
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import FATAL, STUCK_S, GraphError, claim_nodes, freeze_loaded
+from mixtac_node.process import STUCK_S, GraphError, claim_nodes, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_class
 
 T = TypeVar('T')
@@ -422,7 +422,7 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             for check in checks:
                 check()
     except MixtacError as error:
-        print(f'{FATAL}{error}', file=sys.stderr)
+        print(error_line(str(error)), file=sys.stderr)
         return 1
     except (ExternalShutdownException, Interrupted):
         return 0

@@ -29,7 +29,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Any
 
-from mixtac_events.errors import MixtacError
+from mixtac_events.errors import ERROR, MixtacError
 
 
 class GraphError(MixtacError):
@@ -193,8 +193,6 @@ def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
 STOP_GRACE_S = 20.0
 """From SIGTERM to SIGKILL [s]: on a busy host a last picture takes ten."""
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
-FATAL = 'error: '
-"""Begins the line on stderr with which a node that failed ends."""
 STUCK_S = 30.0
 """Time after which a process ends whose callback, or middleware, does not return [s]."""
 _STUCK = 'Timeout ('
@@ -205,7 +203,7 @@ def fatal_text(line: str) -> str:
     """Return why a node ends, from a line of its stderr; empty for other lines."""
     if line.startswith(_STUCK):
         return f'nothing returned to the executor for {STUCK_S:g} s; a traceback says what ran'
-    return line.removeprefix(FATAL).strip() if line.startswith(FATAL) else ''
+    return line.removeprefix(ERROR).strip() if line.startswith(ERROR) else ''
 
 
 @dataclass
