@@ -34,9 +34,9 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
-from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 from scipy.special import j0, j1, jv, spherical_jn
 from threadpoolctl import threadpool_limits
@@ -145,17 +145,53 @@ class DisplacementField:
         Returns:
             Displacements in units of F / (E h), broadcast over the arguments.
         """
-        points = np.broadcast_arrays(
-            np.clip(alpha, ALPHA[0], ALPHA[-1]), np.clip(height, 0.0, 1.0), radius
-        )
-        grid = (ALPHA, FIELD_HEIGHTS, FIELD_RADII)
-        found = [
-            RegularGridInterpolator(grid, table, bounds_error=False, fill_value=0.0)(
-                np.stack(points, axis=-1)
-            )
-            for table in (self.inward, self.outward)
-        ]
-        return found[0], found[1]
+        found = _at(np.stack([self.inward, self.outward], axis=-1), alpha, height, radius)
+        return found[..., 0], found[..., 1]
+
+
+def _at(table: Floats, alpha: Floats, height: Floats, radius: Floats) -> Floats:
+    """Return the values of a field [contact radius, height, distance, n] at points [..., n]."""
+    places = (
+        *_cell(ALPHA, np.clip(alpha, ALPHA[0], ALPHA[-1])),
+        *_cell(FIELD_HEIGHTS, np.clip(height, 0.0, 1.0)),
+        *_cell(FIELD_RADII, np.asarray(radius)),
+    )
+    each = np.broadcast_arrays(*places)
+    found = _interpolated(table, *(np.ravel(place) for place in each))
+    return np.asarray(found.reshape(*each[0].shape, -1))
+
+
+def _cell(axis: Floats, value: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the cell of a grid that holds a value, and where in it that is, 0 to 1."""
+    cell = np.clip(np.searchsorted(axis, value, side='right') - 1, 0, len(axis) - 2)
+    return cell, (value - axis[cell]) / (axis[cell + 1] - axis[cell])
+
+
+@njit(cache=True, nogil=True)
+def _interpolated(
+    table: Floats,
+    i: NDArray[np.int64],
+    u: Floats,
+    j: NDArray[np.int64],
+    v: Floats,
+    k: NDArray[np.int64],
+    w: Floats,
+) -> Floats:
+    """Interpolate linearly between the corners of cells; 0 beyond the last distance [points, n]."""
+    found = np.zeros((len(i), table.shape[3]))
+    for point in range(len(i)):
+        if w[point] > 1.0:
+            continue
+        into = found[point]
+        for corner in range(8):
+            a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
+            weight = u[point] if a else 1.0 - u[point]
+            weight *= v[point] if b else 1.0 - v[point]
+            weight *= w[point] if c else 1.0 - w[point]
+            values = table[i[point] + a, j[point] + b, k[point] + c]
+            for n in range(len(values)):
+                into[n] += values[n] * weight
+    return found
 
 
 @lru_cache(maxsize=2)
@@ -225,12 +261,7 @@ class ShearField:
 
     def at(self, alpha: Floats, height: Floats, radius: Floats) -> Floats:
         """Return the values at points of the layer [..., 4]; as `DisplacementField.at`."""
-        points = np.broadcast_arrays(
-            np.clip(alpha, ALPHA[0], ALPHA[-1]), np.clip(height, 0.0, 1.0), radius
-        )
-        grid = (ALPHA, FIELD_HEIGHTS, FIELD_RADII)
-        found = RegularGridInterpolator(grid, self.table, bounds_error=False, fill_value=0.0)
-        return np.asarray(found(np.stack(points, axis=-1)))
+        return _at(self.table, alpha, height, radius)
 
 
 @lru_cache(maxsize=1)
