@@ -173,7 +173,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated, monkeypatch):
 def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
     config = RunConfig(
         model=model,
-        network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8},
+        network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
+        | {'event_widths': (8, 8)},
         training={
             'frame_epochs': 1,
             'event_epochs': 1,
