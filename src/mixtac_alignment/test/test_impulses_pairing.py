@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Deliberate taps are told from bounces, and the whole fit holds on a simulated trial with drops."""
+"""Deliberate taps are told from bounces, and the fit holds on a simulated trial with drops."""
 
 from __future__ import annotations
 
