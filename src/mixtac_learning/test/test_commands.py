@@ -126,8 +126,9 @@ def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
 
 
 def test_trials_of_bags_beside_simulated_ones_do_not_count_as_simulated_sensors(
-    tmp_path, simulated
+    tmp_path, simulated, monkeypatch
 ):
+    monkeypatch.setattr('mixtac_learning.train.run.judge_devices', lambda *_: ([], {}))
     config = RunConfig(data=DataConfig(SimulatedData(('easy',)), bags=(str(tmp_path),)), judged=1)
     model = read_model(find_model('fger_small'))
     bag = BagSource(tmp_path / 'trial_1')
