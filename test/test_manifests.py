@@ -8,6 +8,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -66,20 +67,25 @@ def imported(package: str) -> set[str]:
 
 
 def imports(modules: Iterable[Path]) -> set[str]:
-    found: set[str] = set()
-    for path in modules:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                found |= {alias.name.partition('.')[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.partition('.')[0])
-            elif isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'import_module':
-                found |= {
-                    str(each.value).partition('.')[0]
-                    for each in node.args
-                    if isinstance(each, ast.Constant)
-                }
+    found = set[str]().union(*map(imports_of, modules))
     return found - set(sys.stdlib_module_names) - {'__future__'} - OPTIONAL
+
+
+@cache
+def imports_of(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition('.')[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.partition('.')[0])
+        elif isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'import_module':
+            found |= {
+                str(each.value).partition('.')[0]
+                for each in node.args
+                if isinstance(each, ast.Constant)
+            }
+    return found
 
 
 def manifest(package: str) -> ET.Element:

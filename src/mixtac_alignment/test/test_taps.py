@@ -37,30 +37,30 @@ def pixels(
     t = np.arange(-0.1, 0.15, 5e-5)
     depth = np.sqrt(force_at(t - delay_s, tap_s))
     gains = rng.normal(0.0, 1.0, CELLS)
-    found = []
-    for cell, gain in enumerate(gains):
-        for _ in range(12):
-            on, off = rng.normal(0.21, 0.03), rng.normal(0.27, 0.04)
-            level, last = gain * rng.uniform(0.7, 1.3) * depth, rng.uniform(-off, on)
-            for value in level if rng.random() < before else ():
-                if value - last >= on:
-                    last += on
-                elif value - last <= -off:
-                    last -= off
-            for at, value in zip(t, level, strict=True):
-                if value - last >= on:
-                    last += on
-                    found.append((at, cell, True))
-                elif value - last <= -off:
-                    last -= off
-                    found.append((at, cell, False))
-    found.sort()
-    times = np.array([round(1e6 * at) for at, _, _ in found], np.int64) + 1_000_000
-    return CellEvents(
-        times,
-        np.array([cell for _, cell, _ in found], np.uint16),
-        np.array([on for _, _, on in found]),
-    ), gains
+    drawn = []
+    for gain in np.repeat(gains, 12):
+        on, off = rng.normal(0.21, 0.03), rng.normal(0.27, 0.04)
+        slope, last = gain * rng.uniform(0.7, 1.3), rng.uniform(-off, on)
+        drawn.append((on, off, slope, last, rng.random() < before))
+    on, off, slope, last, loaded = np.array(drawn).T
+
+    def crossed(value: float, seeing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        change = slope * value - last
+        rise = seeing & (change >= on)
+        fall = seeing & ~rise & (change <= -off)
+        last[rise] += on[rise]
+        last[fall] -= off[fall]
+        return rise, fall
+
+    if before:
+        for value in depth:
+            crossed(value, loaded > 0)
+    seen = np.array([crossed(value, loaded >= 0) for value in depth])
+    step, falls, pixel = np.nonzero(seen)
+    order = np.lexsort((1 - falls, pixel // 12, step))
+    times = np.round(1e6 * t[step[order]]).astype(np.int64) + 1_000_000
+    cells = (pixel[order] // 12).astype(np.uint16)
+    return CellEvents(times, cells, falls[order] == 0), gains
 
 
 def model_of(tap_s: float, *, loaded: bool = False) -> TapModel:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import shutil
 from functools import cache
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from mixtac_cli import main as program
 from mixtac_cli.main import main
 from mixtac_node.process import GraphError
 from mixtac_recordings.bag import blank_message, typestore
@@ -114,8 +114,10 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
 
     monkeypatch.setattr('mixtac_node.process.ProcessGroup.start', refuse)
     monkeypatch.setattr('rclpy.init', refuse)
-    # Half of the time of hundreds of command lines.
-    monkeypatch.setattr('mixtac_cli.main.entry_points', cache(entry_points))
+    # Most of the time of hundreds of command lines.
+    for name in ('entry_points', 'group', 'summary'):
+        monkeypatch.setattr(program, name, cache(getattr(program, name)))
+    monkeypatch.setattr(program.Commands, '_load', cache(program.Commands._load))
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path / 'home'))
     work = tmp_path / 'work'
     shutil.copytree(inputs, work)

@@ -282,7 +282,8 @@ def test_memory_does_not_grow(model, trial):
         for frame in range(25):
             begin = start_us + frame * FRAME_US
             estimator.push_frame(trial.frames[frame % 5], begin - 5000)
-            run(estimator, begin, begin + FRAME_US)
+            for now in range(begin, begin + FRAME_US, 4000):
+                estimator.push_events(events(now, now + 4000, 80), now + 4000)
 
     held = []
     tracemalloc.start()

@@ -126,8 +126,9 @@ def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
 
 
 def test_trials_of_bags_beside_simulated_ones_do_not_count_as_simulated_sensors(
-    tmp_path, simulated
+    tmp_path, simulated, monkeypatch
 ):
+    monkeypatch.setattr('mixtac_learning.train.run.judge_devices', lambda *_: ([], {}))
     config = RunConfig(data=DataConfig(SimulatedData(('easy',)), bags=(str(tmp_path),)), judged=1)
     model = read_model(find_model('fger_small'))
     bag = BagSource(tmp_path / 'trial_1')
@@ -173,7 +174,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated, monkeypatch):
 def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
     config = RunConfig(
         model=model,
-        network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8},
+        network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
+        | {'event_widths': (8, 8)},
         training={
             'frame_epochs': 1,
             'event_epochs': 1,

@@ -49,7 +49,7 @@ def rays(model, x, y):
     k = np.zeros(8)
     k[: len(d)] = d
     a, b = u.copy(), v.copy()
-    for _ in range(50):
+    for _ in range(30):
         s = a * a + b * b
         gain = (1 + k[0] * s + k[1] * s**2 + k[4] * s**3) / (
             1 + k[5] * s + k[6] * s**2 + k[7] * s**3
@@ -79,7 +79,7 @@ class BoardCamera:
         oversampling: Rays per pixel and axis.
     """
 
-    def __init__(self, model='equidistant', oversampling=4):
+    def __init__(self, model='equidistant', oversampling=2):
         self.model, self._n = model, oversampling
         steps = (np.arange(oversampling) + 0.5) / oversampling - 0.5
         x = (np.arange(WIDTH)[:, None] + steps).ravel()

@@ -19,7 +19,7 @@ RIM = (np.array([-0.1, -0.5, 0.1]), np.array([-0.028, 0.008, 0.03]))
 
 @pytest.fixture(scope='module')
 def camera():
-    return BoardCamera('equidistant', oversampling=3)
+    return BoardCamera('equidistant')
 
 
 def error_px(view, pose):

@@ -51,7 +51,7 @@ def angles_deg(model, lens):
 
 @pytest.mark.parametrize('model', MODELS)
 def test_rendered_frames_give_the_lens_back(model):
-    camera, rng = BoardCamera(model, oversampling=3), np.random.default_rng(7)
+    camera, rng = BoardCamera(model), np.random.default_rng(7)
     board = Board(COLUMNS, ROWS, SQUARE_M)
     views = [find_board(camera.image(*each, rng), board) for each in good_poses(model, 14, 11, 10)]
     solution = calibrate([each for each in views if each is not None], model=model)

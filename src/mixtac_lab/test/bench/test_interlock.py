@@ -17,7 +17,7 @@ from mixtac_slip_control.arm.following import FollowingWatch
 if TYPE_CHECKING:
     from pathlib import Path
 
-COUNT = 60
+COUNT = 40
 
 
 def test_within_the_contract_no_limit_is_broken_and_a_fault_stops_for_good() -> None:

@@ -14,6 +14,7 @@ from rich.console import Console
 from mixtac_lab import store
 from mixtac_lab.experiments import sizes
 from mixtac_lab.experiments.harness import run_experiments, select
+from mixtac_lab.experiments.paper import vibration
 from mixtac_lab.experiments.paper.vibration import PRESSED, SIZES_MM, TAPPING
 from mixtac_lab.experiments.sizes import QUICK
 from mixtac_recordings.recording import RecordingError
@@ -24,7 +25,14 @@ TINY = replace(
     trials=1,
     seconds=3.0,
     tests={'dynamic': (1, 3.0), 'static': (1, 3.0), 'long_term': (1, 3.0), 'impact': (1, 3.5)},
-    our_training={'frame_epochs': 1, 'recurrent_epochs': 1, 'joint_epochs': 1},
+    paper_network=QUICK.paper_network | {'channels': 8, 'event_widths': (8, 8), 'lstm_size': 8},
+    paper_training=QUICK.paper_training | {'frame_epochs': 1, 'cycles': 10},
+    our_training={
+        'frame_epochs': 1,
+        'recurrent_epochs': 1,
+        'joint_epochs': 1,
+        'deviation_epochs': 1,
+    },
     tones_hz=(70.0,),
     fast_tones_hz=(),
 )
@@ -43,6 +51,7 @@ def finished(tmp_path_factory):
         patch.setattr(sizes, 'QUICK', TINY)
         patch.setitem(SIZES_MM, PRESSED, (0.1,))
         patch.setitem(SIZES_MM, TAPPING, (1.0,))
+        patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))
         folder = tmp_path_factory.mktemp('run')
         outcomes, text = carried_out(folder, 'fusion', 'vibration')
         yield folder, outcomes, text

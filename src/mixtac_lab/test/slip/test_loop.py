@@ -4,9 +4,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mixtac_lab.slip.loop import ClosedLoop
+from mixtac_lab.slip.sensing import Gains, calibrate, sense_grasp
 from mixtac_lab.slip.trials import ENABLE_S, KNOCK_S, TrialPlan, run_trial
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -47,6 +49,27 @@ def test_on_the_sensors_own_force_the_margin_rises_before_the_knock() -> None:
     assert result['peak_n'] < plan.settings.max_force
     assert abs(result['friction_error']) < 1.0
     assert record.steps[-1].margin > 1.0
+
+
+def test_a_calibrated_sensor_tells_force_and_pull_of_a_grasp() -> None:
+    """The calibration, which takes longest, is that of the trial before."""
+    plan = TrialPlan('box', PLAN.seed, margin=1.3, preset=PLAN.preset)
+    grasp = plan.grasp(camera=True)
+    gains = calibrate(plan.seed, plan.seed, plan.preset)
+    assert gains != Gains()
+    force, found = sense_grasp(grasp, gains), []
+    for _ in range(300):
+        block = grasp.advance(np.zeros(8))
+        found += force.advance(block.events, block.frames, int(block.t_us[-1]))
+    last = found[-1]
+    assert last.valid
+    assert last.deviation is not None
+    assert last.shear is not None
+    # The gains are those of a hemisphere, the object is a box.
+    assert last.force == pytest.approx(block.normal_n[-1], rel=0.5)
+    # The object pulls the skin down.
+    assert -last.shear.y == pytest.approx(block.pull_n[-1], rel=0.5)
+    assert last.end_us == pytest.approx(300_000, abs=2000)
 
 
 def test_enabling_before_the_background_is_known_is_refused() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_lab.slip.sensing import PULLS_S, Gains, calibrate, pulled_gain, sense_grasp
+from mixtac_lab.slip.sensing import PULLS_S, pulled_gain
 from mixtac_lab.slip.trials import TrialPlan
 from mixtac_sim.world.profiles import make_profile
 
@@ -32,23 +32,3 @@ def test_the_gain_is_that_of_the_masses_that_pull() -> None:
     fit = pulled_gain(2e-3 * np.arange(count), force[15::16] / 0.7, known / 1.6)
     assert fit.gain == pytest.approx(1.6, rel=1e-3)
     assert fit.turn == pytest.approx(0.0, abs=1e-3)
-
-
-@pytest.mark.parametrize('seed', [4])
-def test_a_calibrated_sensor_tells_force_and_pull_of_a_grasp(seed: int) -> None:
-    grasp = PLAN.grasp(camera=True)
-    gains = calibrate(seed, seed, PLAN.preset)
-    assert gains != Gains()
-    force, found = sense_grasp(grasp, gains), []
-    for _ in range(300):
-        block = grasp.advance(np.zeros(8))
-        found += force.advance(block.events, block.frames, int(block.t_us[-1]))
-    last = found[-1]
-    assert last.valid
-    assert last.deviation is not None
-    assert last.shear is not None
-    # The gains are those of a hemisphere, the object is a box.
-    assert last.force == pytest.approx(block.normal_n[-1], rel=0.5)
-    # The object pulls the skin down.
-    assert -last.shear.y == pytest.approx(block.pull_n[-1], rel=0.5)
-    assert last.end_us == pytest.approx(300_000, abs=2000)

@@ -22,7 +22,7 @@ from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.stages import estimate, impacts, train_fger
 
 SHORT = TrainingSettings(
-    frame_epochs=12, recurrent_epochs=8, joint_epochs=2, deviation_epochs=4, frame_batch=16
+    frame_epochs=5, recurrent_epochs=3, joint_epochs=1, deviation_epochs=1, frame_batch=16
 )
 
 
@@ -43,10 +43,10 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
     loop = partial(TrainingLoop, report=lambda *row: stages.append(row))
     network, _ = train_fger(config, SHORT, MemoryGroups(trained), make_loop=loop)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
-        ('frames', 12, 12),
-        ('recurrent', 8, 8),
-        ('joint', 2, 2),
-        ('deviation', 4, 4),
+        ('frames', 5, 5),
+        ('recurrent', 3, 3),
+        ('joint', 1, 1),
+        ('deviation', 1, 1),
     ]
     for sequences in (trained, other):
         fused, frames, constant = errors(network, sequences)
@@ -55,7 +55,7 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
 
 
 def test_the_same_seed_gives_the_same_weights(config, toy_sequences):
-    brief = replace(SHORT, frame_epochs=1, recurrent_epochs=1, joint_epochs=1)
+    brief = replace(SHORT, frame_epochs=1, recurrent_epochs=1)
     groups = MemoryGroups(toy_sequences[1])
     runs = [train_fger(config, brief, groups)[0].state_dict() for _ in range(2)]
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
@@ -129,7 +129,7 @@ class Groups:
 
 def test_processes_with_unequal_data_stay_in_step(config, toy_sequences):
     trained, other = toy_sequences
-    brief = replace(SHORT, frame_epochs=3, recurrent_epochs=2, joint_epochs=1, blow_every=2)
+    brief = replace(SHORT, frame_epochs=1, recurrent_epochs=2, blow_every=2)
     devices = MemoryGroups(trained).devices
     assert len(trained.frame_force) != len(other.frame_force)
     blow = torch.zeros_like(trained.force)

@@ -120,12 +120,10 @@ class BeadMotion:
 
     def _largest(self, table: Floats) -> Floats:
         """Return the largest displacement in the image [px] of any bead, per row of a table."""
-        start = np.stack(self._lens.project(*self._rest))
-        moved = [
-            np.hypot(*(np.stack(self._lens.project(*(self._rest + row.T))) - start)).max()
-            for row in table[..., :3]
-        ]
-        return np.array(moved)
+        column, row = self._lens.project(*self._rest)
+        places = self._rest[:, None] + np.moveaxis(table[..., :3], -1, 0)
+        moved_column, moved_row = self._lens.project(*places)
+        return np.asarray(np.hypot(moved_column - column, moved_row - row).max(axis=1))
 
     @property
     def px_per_mm(self) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Floats
@@ -58,14 +59,21 @@ def scatter_markers(
     placed = np.empty((beads, 3))
     count = 0
     while count < beads:
-        spot = rng.uniform(low, high)
-        square = (placed[:count] - spot) ** 2
-        apart, aside = np.sum(square, axis=1), np.sum(square[:, :2], axis=1)
-        if count == 0 or (apart.min() > DIAMETER_MM**2 and aside.min() >= apart_mm**2):
-            placed[count] = spot
-            count += 1
+        placed[count] = rng.uniform(low, high)
+        count += _is_free(placed, count, DIAMETER_MM**2, apart_mm**2)
     opacity = rng.uniform(1.2, 3.0, size=beads)
     return Markers(placed[:, 0], placed[:, 1], placed[:, 2], opacity)
+
+
+@njit(cache=True)
+def _is_free(placed: Floats, count: int, apart: float, aside: float) -> bool:
+    """Return whether a bead is far enough from those before it; squares of distances [mm2]."""
+    x, y, z = placed[count]
+    for other in range(count):
+        across = (placed[other, 0] - x) ** 2 + (placed[other, 1] - y) ** 2
+        if across < aside or across + (placed[other, 2] - z) ** 2 <= apart:
+            return False
+    return True
 
 
 MESH_PITCH_MM = 1.08

@@ -23,7 +23,7 @@ from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
 from mixtac_sim.world.datasets import describe, plan_profile
 
 
-def description(trials=3, seconds=2.6):
+def description(trials=2, seconds=2.6):
     planned = plan_profile('idle', trials, seconds, preset='easy')
     return describe('idle', 0, 'easy', 'trial', planned)
 
@@ -38,13 +38,13 @@ def contents(folder):
 def whole(tmp_path_factory):
     """Return a data set that was made in one go, in this process."""
     folder = tmp_path_factory.mktemp('whole')
-    assert generate(description(), folder) == 3
+    assert generate(description(), folder) == 2
     return folder
 
 
 def test_a_data_set_is_its_bags_and_its_description(whole):
     names = {path.name for path in whole.iterdir()}
-    assert names == {'dataset.yaml', 'trial_000', 'trial_001', 'trial_002'}
+    assert names == {'dataset.yaml', 'trial_000', 'trial_001'}
     assert DatasetDescription.read(whole).complete
 
 
@@ -67,8 +67,8 @@ def test_processes_write_the_same_bytes(whole, tmp_path, backend):
         backend=backend,
         on_progress=lambda done, total: steps.append((done, total)),
     )
-    assert made == 3
-    assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert made == 2
+    assert steps == [(0, 2), (1, 2), (2, 2)]
     assert contents(tmp_path) == contents(whole)
 
 
@@ -78,7 +78,7 @@ def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
         'from mixtac_sim.bags.generation import generate\n'
         'from mixtac_sim.world.datasets import describe\n'
         'from mixtac_sim.world.datasets import plan_profile\n'
-        "planned = plan_profile('idle', 3, 2.6, preset='easy')\n"
+        "planned = plan_profile('idle', 2, 2.6, preset='easy')\n"
         "plan = describe('idle', 0, 'easy', 'trial', planned)\n"
         f'generate(plan, Path({str(tmp_path)!r}))\n'
     )
@@ -94,7 +94,7 @@ def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
         process.wait()
     assert not DatasetDescription.read(tmp_path).complete
     kept = (tmp_path / 'trial_000' / 'trial_000.mcap').stat().st_mtime_ns
-    missing = sum(not is_finished(tmp_path, f'trial_00{index}') for index in range(3))
+    missing = sum(not is_finished(tmp_path, f'trial_00{index}') for index in range(2))
     assert missing
     assert generate(description(), tmp_path) == missing
     assert (tmp_path / 'trial_000' / 'trial_000.mcap').stat().st_mtime_ns == kept
@@ -123,7 +123,7 @@ def test_a_finished_data_set_is_left_alone(whole):
 
 def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):
     with pytest.raises(RecordingError):
-        generate(description(trials=2), whole)
+        generate(description(trials=1), whole)
     (tmp_path / 'notes.txt').write_text('mine')
     with pytest.raises(RecordingError):
         generate(description(), tmp_path)

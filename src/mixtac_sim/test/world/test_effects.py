@@ -84,9 +84,10 @@ def test_presets_are_repeatable_and_differ(name):
     def run(trial_seed):
         return digest(simulate_trial(3, trial_seed, 'press', 0.6, preset=preset(name)))
 
-    assert run(4) == run(4)
-    assert run(4) != run(5)
-    assert run(4) != digest(simulate_trial(3, 4, 'press', 0.6))
+    found = run(4)
+    assert run(4) == found
+    assert run(5) != found
+    assert digest(simulate_trial(3, 4, 'press', 0.6)) != found
 
 
 def test_there_are_ten_effects_and_four_presets():

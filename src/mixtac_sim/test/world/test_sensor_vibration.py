@@ -78,7 +78,7 @@ def test_named_profile_vibrates_between_50_and_250_hz():
 def test_force_follows_the_vibration():
     profile = make_profile('vibration', 3, 3.0)
     body = TactileSensor(1, 2, profile, ApsSettings(enabled=False))
-    truth = body.advance(3_000_000)
+    truth = body.advance(2_000_000)
     tone = max((s for s in profile.segments if s.tones), key=lambda s: s.end_s).tones[0]
     wave = truth.wrench[8_000:16_000, 2]
     spectrum = np.abs(np.fft.rfft(wave - wave.mean()))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 
 import pytest
@@ -11,9 +12,17 @@ import pytest
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_lab.experiments.studies import faults
 from mixtac_lab.experiments.studies.stream_faults import SEEN
+from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_sim.world.training_trials import TrialSpec
 
 PRESS = TrialSpec(7, 7, 'press', 4.0)
+
+
+@pytest.fixture(scope='module', autouse=True)
+def simulated_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedSource, 'load', functools.cache(SimulatedSource.load))
+        yield
 
 
 @pytest.fixture
