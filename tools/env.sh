@@ -31,4 +31,6 @@ case ${FASTRTPS_DEFAULT_PROFILES_FILE:-${FASTDDS_DEFAULT_PROFILES_FILE:-}} in
         ;;
 esac
 export RCUTILS_LOGGING_BUFFERED_STREAM=1
+# Container images often set it; every node would compile what it imports anew at each start.
+unset PYTHONDONTWRITEBYTECODE
 unset _mixtac_root _mixtac_venv _mixtac_flags

@@ -333,6 +333,8 @@ def main() -> int:
         '--robot', action='store_true', help='only the nodes: no command line, no simulator'
     )
     options = parser.parse_args()
+    # As in env.sh: the build starts Python many times.
+    os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
     try:
         with alone():
             set_up(robot=options.robot, extras=options.extras)
