@@ -117,7 +117,6 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
     # Most of the time of hundreds of command lines.
     for name in ('entry_points', 'group', 'summary'):
         monkeypatch.setattr(program, name, cache(getattr(program, name)))
-    monkeypatch.setattr(program.Commands, '_load', cache(program.Commands._load))
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path / 'home'))
     work = tmp_path / 'work'
     shutil.copytree(inputs, work)

@@ -93,6 +93,11 @@ def test_up_refuses_a_missing_model_before_anything_starts(
     assert_one_clear_line(mixtac(ros_domain, 'up', *options, cwd=tmp_path), 'nowhere.safetensors')
 
 
+def test_evaluating_a_missing_model_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
+    result = mixtac(ros_domain, 'evaluate', '--model', 'nowhere.safetensors', cwd=tmp_path)
+    assert_one_clear_line(result, 'nowhere.safetensors')
+
+
 def test_a_truncated_bag_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
     from mixtac_recordings.bag_writer import BagWriter
 
