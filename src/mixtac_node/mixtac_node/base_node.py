@@ -1,18 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What every node shares: namespace, topics with their QoS, declared parameters, the run loop."""
+"""What every node shares: topics with their QoS, declared parameters, the run loop."""
 
 from __future__ import annotations
 
 import contextlib
-import copy
 import dataclasses
 import faulthandler
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import rclpy
@@ -20,37 +19,31 @@ from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
-    ParameterType,
     SetParametersResult,
 )
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from mixtac_events.errors import MixtacError, error_line
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import STUCK_S, GraphError, claim_nodes, freeze_loaded
+from mixtac_node.process import STUCK_S, GraphError, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_class
 
 T = TypeVar('T')
 ENDING = (signal.SIGINT, signal.SIGTERM)
 PATIENCE_S = 0.5
-"""Time that the callback which a signal interrupts has to return; a compilation takes longer."""
-
-
+"""Time that a running callback has after a signal; then it is interrupted [s]."""
 CHECK_PERIOD_S = 0.2
-"""Period at which nodes are checked, and signals looked at [s]."""
-
-
-class Interrupted(BaseException):
-    """Ends a callback that has not returned in time after a signal."""
+"""Period at which a node is checked and signals are handled [s]."""
+CHECKS_PER_REARM = 15
+"""Checks between two restarts of the watchdog: a restart waits for a thread to end."""
 
 
 def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
@@ -58,8 +51,8 @@ def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
 
     Args:
         topic: The topic.
-        offered: Return the publisher's, which is reliable, so that every subscription gets its
-            messages (REP 2003); otherwise that of our subscriptions.
+        offered: Return the profile of the publisher, which is reliable, so that every
+            subscription matches it (REP 2003); otherwise the profile of our subscriptions.
     """
     reliable = offered or topic.reliable
     return QoSProfile(
@@ -85,10 +78,7 @@ QOS_LATCHED = qos(topics.CLOCK_FIT)
 class BaseNode:
     """Mixin, before rclpy's node class (plain or lifecycle), of every Mixtac node.
 
-    Nodes are in `DEFAULT_NAMESPACE` by default. Publishers and subscriptions take history, depth
-    and reliability from the parameters `qos_overrides.TOPIC.publisher.*` and
-    `qos_overrides.TOPIC.subscription.*` where those are given
-    (https://design.ros2.org/articles/qos_configurability.html); lifecycle publishers as well.
+    Nodes are in `DEFAULT_NAMESPACE` by default.
 
     Args:
         name: Name of the node.
@@ -136,27 +126,6 @@ class BaseNode:
         kind = message_class(topic.type_name)
         return self.create_subscription(kind, name or topic.name, callback, qos(topic), raw=raw)
 
-    def create_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a publisher whose QoS can be overridden."""
-        return super().create_publisher(kind, topic, *_own(args), **_overridable(topic, options))  # type: ignore[misc]
-
-    def create_subscription(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a subscription whose QoS can be overridden."""
-        if topic == CLOCK:
-            args = (_since_epoch(args[0]), *args[1:])
-        return super().create_subscription(kind, topic, *_own(args), **_overridable(topic, options))  # type: ignore[misc]
-
-    def create_service(self, kind: Any, name: str, callback: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a service; those that set parameters refuse values of unknown types."""
-        if kind in {SetParameters, SetParametersAtomically}:
-            callback = _of_known_types(callback)
-        return super().create_service(kind, name, callback, **options)  # type: ignore[misc]
-
-    def create_lifecycle_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a lifecycle publisher whose QoS can be overridden."""
-        options = _overridable(topic, options)
-        return super().create_lifecycle_publisher(kind, topic, *_own(args), **options)  # type: ignore[misc]
-
 
 def answering(action: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
     """Return the callback of a service whose answer is `success` and `message`.
@@ -173,51 +142,6 @@ def answering(action: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
         return response
 
     return callback
-
-
-CLOCK = '/clock'
-_TOPICS_OF_RCLPY = ('/parameter_events', '/rosout', CLOCK)
-
-
-def _since_epoch(callback: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Keep times before the epoch from rclpy's callback of `/clock`, which raises for them."""
-
-    def on_clock(message: Any) -> None:  # noqa: ANN401
-        if message.clock.sec >= 0:
-            callback(message)
-
-    return on_clock
-
-
-def _of_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Keep parameters of unknown types from rclpy's callback, which raises for them."""
-
-    def on_set(request: Any, response: Any) -> Any:  # noqa: ANN401
-        for each in request.parameters:
-            if each.value.type > ParameterType.PARAMETER_STRING_ARRAY:
-                reason = f'parameter {each.name!r} has the unknown type {each.value.type}'
-                refusal = SetParametersResult(successful=False, reason=reason)
-                if hasattr(response, 'results'):
-                    response.results = [refusal] * len(request.parameters)
-                else:
-                    response.result = refusal
-                return response
-        return callback(request, response)
-
-    return on_set
-
-
-def _own(values: Iterable[Any]) -> list[Any]:
-    # rclpy writes overrides into the profile that it is given, so each topic gets a copy.
-    return [copy.copy(value) if isinstance(value, QoSProfile) else value for value in values]
-
-
-def _overridable(topic: str, options: dict[str, Any]) -> dict[str, Any]:
-    if topic in _TOPICS_OF_RCLPY:
-        # Created before the node can have parameters.
-        return options
-    own = dict(zip(options, _own(options.values()), strict=True))
-    return {'qos_overriding_options': QoSOverridingOptions.with_default_policies(), **own}
 
 
 def declare(
@@ -316,20 +240,19 @@ def starting() -> Iterator[None]:
         ) from error
 
 
-class _Signals:
-    """SIGINT and SIGTERM from now on.
+class Signals:
+    """Handles SIGINT and SIGTERM from now on.
+
+    A callback, or the construction of a node, that still runs `PATIENCE_S` after a signal ends with
+    KeyboardInterrupt. Libraries may turn that into an exception of their own.
 
     Attributes:
-        received: Whether one has come. A callback, or the construction of a node, that still runs
-            PATIENCE_S later ends with `Interrupted`.
-        interrupted: Whether that has happened. Libraries may turn `Interrupted` into an exception
-            of their own.
+        received: Whether a signal has arrived.
     """
 
     def __init__(self) -> None:
-        self.received = self.interrupted = False
+        self.received = False
         signal.signal(signal.SIGALRM, self._interrupt)
-        sys.unraisablehook = _unraisable
         for number in ENDING:
             signal.signal(number, self._receive)
         # The launch files start nodes with SIGINT blocked: no import ends in a traceback.
@@ -341,32 +264,23 @@ class _Signals:
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
 
     def _interrupt(self, _signum: int, _frame: object) -> None:
-        self.interrupted = True
-        raise Interrupted
+        raise KeyboardInterrupt
 
     def ignore(self) -> None:
-        """Ignore them while the process ends; its status would not be 0 otherwise."""
+        """Ignore signals while the process ends; its status would not be 0 otherwise."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
 
 
-def _unraisable(report: sys.UnraisableHookArgs) -> None:
-    """Say nothing of a callback from C that is interrupted: the next interruption follows."""
-    if not isinstance(report.exc_value, Interrupted):
-        sys.__unraisablehook__(report)
-
-
-def _close(nodes: list[Any]) -> None:
-    for node in reversed(nodes):
-        if hasattr(node, 'close'):
-            node.close()
-    for node in nodes:
-        node.destroy_node()
-
-
 def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
-    """Run one node until SIGINT or SIGTERM, then close it; see `run_together`.
+    """Run a node until SIGINT or SIGTERM, then close it.
+
+    A node may have a `close()` method: it ends threads and devices before the node is destroyed.
+    It may have a `check()` method: called several times a second, and a MixtacError from it ends
+    the process as one from its construction does. A callback that does not return ends the process
+    after `STUCK_S` with a traceback of all threads: launch files and systemd report that, and can
+    restart the node.
 
     Args:
         node_class: Makes the node; called after `rclpy.init`.
@@ -375,64 +289,84 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     Returns:
         Exit status: 0 after a signal, 1 with one line on stderr after a MixtacError.
     """
-    return run_together(lambda: [node_class()], args)
-
-
-def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = None) -> int:
-    """Run nodes in one executor until SIGINT or SIGTERM, then close them, the last one first.
-
-    A node may have a `close()` method: it ends threads and devices before the node is destroyed.
-    It may have a `check()` method: called several times a second, and a MixtacError from it ends
-    the process as one from its construction does. A callback that does not return ends the process
-    after `STUCK_S` with a traceback of all threads: it is seen, and can be restarted.
-
-    Args:
-        make_nodes: Makes the nodes; called after `rclpy.init`.
-        args: ROS arguments, `sys.argv` if None.
-
-    Returns:
-        Exit status: 0 after a signal, 1 with one line on stderr after a MixtacError.
-    """
-    signals = _Signals()
-    nodes: list[Any] = []
+    signals = Signals()
+    node: Any = None
     try:
         if signals.received:
             return 0
         with starting():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-            nodes = make_nodes()
-        names = [node.get_fully_qualified_name() for node in nodes]
-        _claims = claim_nodes(names, rclpy.get_default_context().get_domain_id())
+            node = node_class()
         executor = EventsExecutor()
-        for node in nodes:
-            executor.add_node(node)
-        checks = [node.check for node in nodes if hasattr(node, 'check')]
+        executor.add_node(node)
         freeze_loaded()
-        watched_s = -STUCK_S
-        while not signals.received and rclpy.ok():
-            # Seldom: it waits for a thread to end, which on a busy host takes milliseconds.
-            if time.monotonic() > watched_s + STUCK_S / 10:
-                watched_s = time.monotonic()
-                # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
-                faulthandler.dump_traceback_later(STUCK_S, exit=True)
-            # In the wheels of Jazzy, spin() of this executor never calls back. Not spin_once, which
-            # returns after each callback.
-            executor.spin_until_future_complete(Future(), timeout_sec=CHECK_PERIOD_S)
-            # Not in a timer: the executor would print a traceback before the error line.
-            for check in checks:
-                check()
+        _spin(node, executor, signals)
     except MixtacError as error:
         print(error_line(str(error)), file=sys.stderr)
         return 1
-    except (ExternalShutdownException, Interrupted):
+    except (ExternalShutdownException, KeyboardInterrupt):
         return 0
     except Exception:
-        if not signals.interrupted:
+        if not signals.received:
             raise
         return 0
     finally:
         faulthandler.cancel_dump_traceback_later()
         signals.ignore()
-        _close(nodes)
+        if node is not None:
+            if hasattr(node, 'close'):
+                node.close()
+            node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _spin(node: Any, executor: EventsExecutor, signals: Signals) -> None:  # noqa: ANN401
+    """Run callbacks until a signal arrives or a check of the node fails.
+
+    The check is a callback of the executor. On a busy host it comes late, but it comes: the
+    executor does not return before its queue is empty, which can take for ever there.
+
+    Raises:
+        MixtacError: From `check`.
+    """
+    ended = Future()
+    checks = 0
+
+    def check() -> None:
+        nonlocal checks
+        checks += 1
+        if checks % CHECKS_PER_REARM == 0:
+            faulthandler.dump_traceback_later(STUCK_S, exit=True)
+        try:
+            if hasattr(node, 'check'):
+                node.check()
+        except MixtacError as error:
+            ended.set_exception(error)
+        else:
+            if signals.received:
+                ended.set_result(None)
+
+    # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
+    faulthandler.dump_traceback_later(STUCK_S, exit=True)
+    node.create_timer(CHECK_PERIOD_S, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    while rclpy.ok() and not ended.done():
+        _run_callbacks(node, executor, ended, signals)
+    if ended.done():
+        ended.result()
+
+
+def _run_callbacks(node: Any, executor: EventsExecutor, ended: Future, signals: Signals) -> None:  # noqa: ANN401
+    """Run callbacks for a while; one that fails is logged, so that no message ends a node.
+
+    rclpy itself raises for parameters of unknown types and for times before the epoch on `/clock`.
+    """
+    try:
+        # In the wheels of Jazzy, spin() of this executor never calls back.
+        executor.spin_until_future_complete(ended, timeout_sec=CHECK_PERIOD_S)
+    except (MixtacError, ExternalShutdownException):
+        raise
+    except Exception:
+        if signals.received:
+            raise
+        node.get_logger().error(f'a callback failed: {traceback.format_exc()}')

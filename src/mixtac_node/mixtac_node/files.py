@@ -204,43 +204,14 @@ def write_json(path: Path | None, data: object) -> None:
         write_text(path, json.dumps(data, indent=2) + '\n')
 
 
-_MOST_REPEATED = 1_000_000
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses aliases of what they lie in, and those that stand for too much in all."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._size = self._repeated = 0
-        self._sizes: dict[str | None, int] = {}
-
-    def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        before = self._size
-        node = super().compose_node(parent, index)
-        if isinstance(event, yaml.AliasEvent):
-            size = self._sizes.get(event.anchor, _MOST_REPEATED)
-            self._size, self._repeated = self._size + size, self._repeated + size
-            if self._repeated >= _MOST_REPEATED:
-                raise yaml.YAMLError(
-                    f'alias *{event.anchor} stands for itself or for too much: write its values out'
-                )
-            return node
-        self._size += 1 + len(getattr(event, 'value', ''))
-        if event.anchor is not None:
-            self._sizes[event.anchor] = self._size - before
-        return node
-
-
 def load_yaml(text: str) -> Any:  # noqa: ANN401
-    """Return the content of a YAML document of plain values, in memory in proportion to its text.
+    """Return the content of a YAML document of plain values.
 
     Raises:
-        FileError: It is not valid, or its aliases expand to more than a million characters.
+        FileError: It is not valid.
     """
     try:
-        return _Loader(text).get_single_data()
+        return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise FileError(f'not valid YAML: {reason}') from error

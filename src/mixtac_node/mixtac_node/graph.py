@@ -7,10 +7,8 @@
 
 from __future__ import annotations
 
-import difflib
-import functools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,6 @@ from ament_index_python.packages import (
     get_package_share_directory,
 )
 
-from mixtac_node.files import read_data
 from mixtac_node.process import GraphError
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
 
@@ -36,7 +33,6 @@ class NodeSpec:
         lifecycle: True if the node waits to be configured and activated.
         required: True if a launch file ends the graph when this process ends.
         overrides: Parameter values that take precedence over the parameter files.
-        files: Nodes whose shipped parameter files the process reads; empty for its own only.
     """
 
     package: str
@@ -45,7 +41,6 @@ class NodeSpec:
     lifecycle: bool = False
     required: bool = False
     overrides: Mapping[str, object] = field(default_factory=dict)
-    files: tuple[str, ...] = ()
 
     def parameter_files(self, params_file: Path | None = None) -> list[Path]:
         """Return the parameter files of this process; later ones take precedence.
@@ -54,13 +49,13 @@ class NodeSpec:
             params_file: File that overrides the shipped ones.
 
         Raises:
-            GraphError: A file does not exist, or sets an unknown parameter.
-            FileError: The file is not YAML.
+            GraphError: The file does not exist.
         """
-        shipped = [config_file(f'{name}.yaml') for name in self.files or (self.name,)]
+        shipped = [config_file(f'{self.name}.yaml')]
         if params_file is None:
             return shipped
-        check_parameters(params_file)
+        if not params_file.is_file():
+            raise GraphError(f'no parameter file {params_file}')
         return [*shipped, params_file]
 
     def ros_arguments(self, params_file: Path | None = None, log_level: str = 'info') -> list[str]:
@@ -132,75 +127,6 @@ def config_file(name: str) -> Path:
     return Path(share) / 'config' / name
 
 
-def check_parameters(path: Path) -> None:
-    """Check that a parameter file sets only parameters that our nodes have.
-
-    ROS ignores unknown ones. Sections of nodes that are not ours may hold anything.
-
-    Args:
-        path: The file.
-
-    Raises:
-        GraphError: It does not exist or is no parameter file, or a name in it is unknown.
-        FileError: It is not YAML.
-    """
-    if not path.is_file():
-        raise GraphError(f'no parameter file {path}')
-    known = _shipped_parameters(config_file('fger.yaml').parent)
-    for section, values in _sections(read_data(path), '', path):
-        node = section.rpartition('/')[2]
-        if '*' in node:
-            names = frozenset(name for each in known.values() for name in each)
-        elif node in known:
-            names = known[node]
-        else:
-            if near := difflib.get_close_matches(node, known, 1, 0.75):
-                raise GraphError(f'{path}: no node {node!r}', remedy=f'did you mean {near[0]}?')
-            continue
-        unknown = sorted(
-            name
-            for name in map(str, values)
-            if name not in names and name.partition('.')[0] not in _OF_ROS
-        )
-        if unknown:
-            near = difflib.get_close_matches(unknown[0], names, 1)
-            raise GraphError(
-                f'{path}: {section} has no parameter {unknown[0]}',
-                remedy=f'did you mean {near[0]}?' if near else 'see docs/reference.md',
-            )
-
-
-_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
-"""Parameters that every node has."""
-_VALUES = 'ros__parameters'
-
-
-@functools.cache
-def _shipped_parameters(folder: Path) -> dict[str, frozenset[str]]:
-    """Return the names of the parameters of each node, by the name of the node."""
-    found = {}
-    for path in folder.glob('*.yaml'):
-        content = read_data(path)
-        values = content.get(f'/**/{path.stem}') if isinstance(content, dict) else None
-        if values is not None:
-            found[path.stem] = frozenset(values[_VALUES])
-    return found
-
-
-def _sections(content: Any, name: str, path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:  # noqa: ANN401
-    """Yield the name of each node in a parameter file and its parameters."""
-    if not isinstance(content, dict) or not isinstance(content.get(_VALUES, {}), dict):
-        raise GraphError(
-            f'{path} is no parameter file{f" at {name}" if name else ""}',
-            remedy=f'write NODE: {_VALUES}: with one parameter per line',
-        )
-    if _VALUES in content:
-        yield name, content[_VALUES]
-        return
-    for key, value in content.items():
-        yield from _sections(value, f'{name}/{key}' if name else str(key), path)
-
-
 NO_DRIVER = 'none'
 """Device of a graph without a driver."""
 
@@ -221,7 +147,6 @@ def sensor_graph(
     driver: Mapping[str, object] | None = None,
     estimator: Mapping[str, object] | None = None,
     virtual_sensor: Mapping[str, object] | None = None,
-    single_process: bool = False,
     slip: Mapping[str, object] | None = None,
     align: bool = False,
     view: bool = False,
@@ -236,118 +161,54 @@ def sensor_graph(
         driver: Overrides of the driver's parameters.
         estimator: Overrides of the force estimator's parameters.
         virtual_sensor: Overrides of the virtual sensor's parameters.
-        single_process: Run driver and estimator in one process.
-        slip: Parameters of slip control, which then runs in the driver's process; None does without
-            it.
+        slip: Parameters of slip control; None leaves it out.
         align: Add the nodes that align the reference force and publish the error against it.
         view: Add the live view.
-        simulated_time: All nodes but the driver follow `/clock`, which the driver publishes of a
-            recording, the virtual sensor of its simulation, and a bag player without a driver.
-        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
+        simulated_time: All nodes but the driver follow `/clock`. The driver publishes it from a
+            recording, the virtual sensor from its simulation, a bag player without a driver.
+        reference_topic: Topic of the reference force; empty keeps the topic of the parameter files.
 
     Raises:
-        GraphError: The options contradict each other.
+        GraphError: A driver's parameter for a graph without a driver.
     """
     reference = {'reference_topic': reference_topic} if reference_topic else {}
+    follow = {'use_sim_time': True} if simulated_time else {}
     nodes = []
     if is_virtual(device):
-        # A slow host slows the clock of all nodes down.
-        slow = {'publish_clock': True, 'slow_host': 'wait'}
-        clock: dict[str, object] = {**slow} if simulated_time else {}
         path = device.partition(':')[2]
-        socket = {'socket': path} if path else {}
-        nodes.append(
-            NodeSpec(
-                'mixtac_sim',
-                'virtual_sensor_node',
-                'virtual_sensor',
-                required=True,
-                overrides={**socket, **reference, **clock, **(virtual_sensor or {})},
-            )
-        )
+        own: dict[str, object] = {**({'socket': path} if path else {}), **reference}
+        own |= {'publish_clock': True} if simulated_time else {}
+        own |= virtual_sensor or {}
+        nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:
-        nodes.append(live_view())
+        nodes.append(node('mixtac_cli', 'view', overrides=follow))
     if align:
         nodes += [
-            NodeSpec('mixtac_alignment', 'alignment_node', 'alignment', overrides=reference),
-            NodeSpec('mixtac_alignment', 'force_error_node', 'force_error'),
+            node('mixtac_alignment', 'alignment', overrides={**reference, **follow}),
+            node('mixtac_alignment', 'force_error', overrides=follow),
         ]
-    clock = {'playback_clock': True} if simulated_time and not is_virtual(device) else {}
-    follow = {'use_sim_time': True} if simulated_time else {}
-    nodes[:] = [
-        each
-        if each.name == 'virtual_sensor'
-        else replace(each, overrides={**each.overrides, **follow})
-        for each in nodes
-    ]
-    # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
-    recorded = simulated_time or not is_camera(device)
-    free = {'assume_free': True} if recorded else {}
-    estimator_node = NodeSpec(
-        'mixtac_fger',
-        'fger_node',
-        'fger',
-        lifecycle=True,
-        required=True,
-        overrides={**free, **follow, **(estimator or {})},
-    )
-    if device == NO_DRIVER:
-        if driver or single_process or slip is not None:
-            together = 'single_process' if single_process else 'slip control in its process'
-            what = next(iter(driver or ()), together)
-            raise GraphError(
-                f'{what} is for a driver, which device {NO_DRIVER} leaves out',
-                remedy='name a device, or leave it out',
-            )
-        return [*nodes, estimator_node]
-    driver_node = NodeSpec(
-        'mixtac_driver',
-        'driver_node',
-        'driver',
-        required=True,
-        overrides={'device': device, **clock, **(driver or {})},
-    )
-    estimation = [driver_node, estimator_node]
-    if (single_process or slip is not None) and simulated_time:
+    if device != NO_DRIVER:
+        own = {'device': device, **(driver or {})}
+        if simulated_time and not is_virtual(device):
+            own = {'playback_clock': True, **own}
+        nodes.append(node('mixtac_driver', 'driver', required=True, overrides=own))
+    elif driver:
         raise GraphError(
-            'simulated time needs the driver in a process of its own: it stays on the host clock',
-            remedy='leave out single_process, or start slip control by itself',
+            f'{next(iter(driver))} is for a driver, which device {NO_DRIVER} leaves out',
+            remedy='name a device, or leave it out',
         )
     if slip is not None:
-        if single_process:
-            raise GraphError(
-                "slip control and estimator cannot both run in the driver's process: one would "
-                'hold up the other',
-                remedy='leave out single_process',
-            )
-        answering = _in_one_process('slip_sensor_node', [driver_node, slip_control(slip)])
-        return [*nodes, answering, estimator_node]
-    return [
-        *nodes,
-        *([_in_one_process('sensor_node', estimation)] if single_process else estimation),
-    ]
+        nodes.append(slip_control({**follow, **slip}))
+    # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
+    recorded = simulated_time or not is_camera(device)
+    own = {**({'assume_free': True} if recorded else {}), **follow, **(estimator or {})}
+    nodes.append(node('mixtac_fger', 'fger', lifecycle=True, required=True, overrides=own))
+    return nodes
 
 
-def _in_one_process(executable_name: str, nodes: Sequence[NodeSpec]) -> NodeSpec:
-    """Return one process for driver and another node, by whose name it is known.
-
-    Every node takes the overrides that it declares.
-    """
-    overrides: dict[str, object] = {}
-    for node in nodes:
-        if twice := sorted(set(overrides) & set(node.overrides)):
-            raise GraphError(
-                f'parameter {twice[0]} is set for two nodes of one process: set it in a '
-                'parameter file, below the name of its node'
-            )
-        overrides |= node.overrides
-    return replace(
-        nodes[-1],
-        package='mixtac_cli',
-        executable=executable_name,
-        overrides=overrides,
-        files=tuple(node.name for node in nodes),
-    )
+def node(package: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
+    """Return a node whose executable is its name with `_node`; options as of `NodeSpec`."""
+    return NodeSpec(package, f'{name}_node', name, **options)
 
 
 def slip_control(overrides: Mapping[str, object]) -> NodeSpec:

@@ -11,7 +11,6 @@ rosbags.
 from __future__ import annotations
 
 import functools
-import struct
 import sys
 from array import array
 from dataclasses import dataclass
@@ -176,48 +175,16 @@ def set_octets(message: Any, name: str, octets: Any) -> None:  # noqa: ANN401
         setattr(message, name, np.frombuffer(octets, np.uint8))
 
 
-COMPRESSIONS = ('jpeg', 'png')
-JPEG_QUALITY = 95
-"""OpenCV's default, and that of image_transport."""
-
-
-def compress(image: Pixels, encoding: str, kind: str) -> tuple[Any, str]:
-    """Return a compressed image and its `format`, as compressed_image_transport writes it.
-
-    Args:
-        image: `uint8` or `uint16`, [height, width].
-        encoding: Their encoding, one of `ENCODINGS` with one channel.
-        kind: One of `COMPRESSIONS`: JPEG with 8 bits, PNG with all.
-
-    Returns:
-        Bytes, `uint8` [n], and the format, such as `mono16; jpeg compressed mono8`.
-    """
-    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    held = image
-    if kind == 'jpeg':
-        held = _with_depth(image, 'mono8')
-    else:
-        settings = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    _, data = cv2.imencode(f'.{kind}', held, settings)
-    return data.ravel(), f'{encoding}; {kind} compressed mono{8 * held.itemsize}'
-
-
 def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
     """Return the grey levels of a compressed image with as many bits as it has, [height, width].
 
     Args:
-        message: A `sensor_msgs/CompressedImage` with one of `COMPRESSIONS`.
+        message: A `sensor_msgs/CompressedImage` in JPEG or PNG.
 
     Raises:
         ImageConversionError: Another compression or encoding, a damaged or too large image.
     """
     data = np.frombuffer(message.data, np.uint8)
-    width, height = coded_size(bytes(data[:HEADER_SIZE]))
-    if not 0 < width * height <= MOST_PIXELS:
-        raise ImageConversionError(
-            f'compressed image of {width} x {height} pixels, format {message.format!r}: JPEG and'
-            f' PNG of 1 to {MOST_PIXELS} pixels are read'
-        )
     found: Any = None
     try:
         found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
@@ -234,31 +201,6 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
     if source == 'mono':
         return np.asarray(found)
     return default_converter()(found, f'{source}{bits}', f'mono{bits}')
-
-
-HEADER_SIZE = 4096
-"""Bytes at the beginning of a compressed image that tell its size."""
-_PNG = b'\x89PNG\r\n\x1a\n'
-_NO_FRAME = {0xC4, 0xC8, 0xCC}
-"""Markers of JPEG between 0xC0 and 0xCF that do not begin a frame."""
-
-
-def coded_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that the beginning of a JPEG or PNG claims; zeros for another.
-
-    Args:
-        data: Its first `HEADER_SIZE` bytes, or all.
-    """
-    if data.startswith(_PNG) and len(data) >= 24:
-        return struct.unpack_from('>II', data, 16)
-    at = 2 if data.startswith(b'\xff\xd8') else len(data)
-    while at + 9 <= len(data):
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], 'big')
-        if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME:
-            height, width = struct.unpack_from('>HH', data, at + 5)
-            return width, height
-        at += 2 + length
-    return 0, 0
 
 
 @functools.cache

@@ -23,7 +23,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -142,52 +142,6 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
         return {}
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
     return dict.fromkeys(FASTDDS_VARIABLES, str(folder / ('local.xml' if local else 'network.xml')))
-
-
-def ros_domain() -> int:
-    """Return the ROS domain of this process's environment.
-
-    Raises:
-        GraphError: `ROS_DOMAIN_ID` is not a number.
-    """
-    text = os.environ.get('ROS_DOMAIN_ID') or '0'
-    if not text.isdecimal():
-        raise GraphError(f'ROS_DOMAIN_ID={text} is not a number', remedy='give one from 0 to 101')
-    return int(text)
-
-
-def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
-    """Claim the names of nodes in a ROS domain, so that no second graph mixes with this one.
-
-    It holds among the processes of a user on this machine.
-
-    Args:
-        names: Fully qualified.
-        domain: `ROS_DOMAIN_ID`.
-
-    Returns:
-        Files; a claim ends when its file is closed or the process ends.
-
-    Raises:
-        GraphError: Another process has claimed one of them.
-    """
-    folder = _own_folder('mixtac-nodes')
-    claims: list[IO[str]] = []
-    for name in names:
-        claim = (folder / f'{domain}{name.replace("/", ".")}').open('a+')
-        try:
-            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            claim.seek(0)
-            raise GraphError(
-                f'{name} runs already in ROS domain {domain}, as process {claim.read()}',
-                remedy='stop it, or choose another namespace or ROS_DOMAIN_ID',
-            ) from error
-        claim.truncate(0)
-        claim.write(str(os.getpid()))
-        claim.flush()
-        claims.append(claim)
-    return claims
 
 
 STOP_GRACE_S = 20.0

@@ -16,7 +16,6 @@ import pytest
 from mixtac_node.files import (
     FileError,
     new_folder,
-    read_data,
     read_dataclass,
     replacing,
     structure,
@@ -185,32 +184,6 @@ def nested(first: str, other: str) -> str:
     lines = [f'v0: &v0 {first}']
     lines += [f'v{n}: &v{n} ' + other % ', '.join([f'*v{n - 1}'] * 20) for n in range(1, 5)]
     return '\n'.join(lines)
-
-
-@pytest.mark.parametrize(
-    'text',
-    [
-        nested('[many, many]', '[%s]'),
-        nested('{k: many}', '{<<: [%s]}'),
-        'a: &a {b: *a}',
-        f'a: &a {"long" * 1000}\nb: [{", ".join(["*a"] * 1000)}]',
-    ],
-    ids=['lists', 'merged', 'itself', 'text'],
-)
-def test_aliases_that_stand_for_too_much_are_refused(tmp_path, text):
-    path = tmp_path / 'any.yaml'
-    path.write_text(text)
-    with pytest.raises(FileError) as caught:
-        read_data(path)
-    assert str(path) in str(caught.value)
-
-
-def test_aliases_are_read(tmp_path):
-    path = tmp_path / 'any.yaml'
-    path.write_text('a: &a [1, 2]\nb: [*a, *a]\nc: &c {d: 1}\ne: {<<: *c, f: 2}')
-    found = read_data(path)
-    assert found['b'] == [[1, 2], [1, 2]]
-    assert found['e'] == {'d': 1, 'f': 2}
 
 
 def test_a_missing_file_is_refused(tmp_path):

@@ -13,7 +13,6 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_node.graph import (
-    check_parameters,
     config_file,
     live_view,
     recorder,
@@ -78,19 +77,23 @@ def test_additions_stand_between_sensor_and_driver():
     assert overrides(nodes)['force_error'] == {}
 
 
+def test_slip_control_reads_the_drivers_events():
+    nodes = sensor_graph('virtual:/a/b.sock', slip={'arm': 'fr3'})
+    assert names(nodes) == ['virtual_sensor', 'driver', 'slip_control', 'fger']
+    assert overrides(nodes)['slip_control'] == {'arm': 'fr3'}
+
+
 def test_simulated_time_comes_from_the_driver():
     found = overrides(sensor_graph('/some/bag', simulated_time=True))
     assert found == {
         'driver': {'device': '/some/bag', 'playback_clock': True},
         'fger': {'assume_free': True, 'use_sim_time': True},
     }
-    with pytest.raises(GraphError):
-        sensor_graph('/some/bag', simulated_time=True, single_process=True)
 
 
 def test_simulated_time_of_the_virtual_sensor_is_its_own():
     found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
-    assert found['virtual_sensor'] == {'publish_clock': True, 'slow_host': 'wait'}
+    assert found['virtual_sensor'] == {'publish_clock': True}
     assert 'playback_clock' not in found['driver']
     assert all(found[name]['use_sim_time'] for name in ('alignment', 'force_error', 'fger'))
 
@@ -100,45 +103,8 @@ def test_without_a_driver_all_nodes_follow_the_clock_of_the_bag_player():
     assert names(nodes) == ['alignment', 'force_error', 'fger']
     assert all(node.overrides['use_sim_time'] for node in nodes)
     assert 'assume_free' not in overrides(sensor_graph('none'))['fger']
-    for options in ({'single_process': True}, {'driver': {'serial': '1'}}):
-        with pytest.raises(GraphError):
-            sensor_graph('none', **options)
-
-
-def test_one_process_reads_the_files_and_overrides_of_both_nodes():
-    options = {'estimator': {'force_scale': 2.0}, 'single_process': True}
-    nodes = sensor_graph('virtual:/a/b.sock', **options)
-    # The virtual sensor stands for a device.
-    assert names(nodes) == ['virtual_sensor', 'fger']
-    arguments = nodes[1].ros_arguments()
-    assert "device:='virtual:/a/b.sock'" in arguments
-    assert 'force_scale:=2.0' in arguments
-    assert nodes[1].parameter_files() == [config_file('driver.yaml'), config_file('fger.yaml')]
-
-
-def test_slip_control_can_run_in_the_drivers_process():
-    nodes = sensor_graph('virtual:/a/b.sock', slip={'arm': 'fr3'})
-    assert names(nodes) == ['virtual_sensor', 'slip_control', 'fger']
-    arguments = nodes[1].ros_arguments()
-    assert "device:='virtual:/a/b.sock'" in arguments
-    assert "arm:='fr3'" in arguments
-    files = [config_file('driver.yaml'), config_file('slip_control.yaml')]
-    assert nodes[1].parameter_files() == files
-    assert not nodes[1].lifecycle
-    for device, options in (
-        ('none', {}),
-        ('davis346', {'single_process': True}),
-        ('/some/bag', {'simulated_time': True}),
-    ):
-        with pytest.raises(GraphError):
-            sensor_graph(device, slip={}, **options)
-
-
-def test_an_override_of_both_nodes_is_refused():
-    both = {'driver': {'frame_id': 'a'}, 'estimator': {'frame_id': 'b'}}
-    with pytest.raises(GraphError) as caught:
-        sensor_graph('davis346', **both, single_process=True)
-    assert 'frame_id' in str(caught.value)
+    with pytest.raises(GraphError):
+        sensor_graph('none', driver={'serial': '1'})
 
 
 def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_path):
@@ -171,7 +137,6 @@ def test_every_node_is_installed_and_has_a_parameter_file(tmp_path):
     more = [slip_control({'arm': 'none'}), recorder(tmp_path / 'bag'), live_view(0)]
     for device, options in (
         ('virtual', {'align': True}),
-        ('x', {'single_process': True}),
         ('x', {'slip': {}}),
     ):
         for node in [*sensor_graph(device, **options), *more]:
@@ -203,41 +168,3 @@ def test_rosbag2_subscribes_compatibly_and_with_long_queues():
         # A subscriber may ask for no more than its publisher offers.
         assert chosen['reliability'] == 'best_effort' or topic.reliable
         assert chosen['durability'] == 'volatile' or topic.latched
-
-
-@pytest.mark.parametrize(
-    ('text', 'named'),
-    [
-        ('/**/fger:\n  ros__parameters:\n    force_scal: 2.0\n', 'force_scale'),
-        ('/mixtac/driver:\n  ros__parameters:\n    devise: virtual\n', 'device'),
-        ('mixtac:\n  fgre:\n    ros__parameters:\n      model: x\n', 'fger'),
-        ('/**:\n  ros__parameters:\n    force_scal: 2.0\n', 'force_scale'),
-    ],
-)
-def test_an_unknown_parameter_is_refused_with_the_nearest_known_one(tmp_path, text, named):
-    path = tmp_path / 'own.yaml'
-    path.write_text(text)
-    with pytest.raises(GraphError) as caught:
-        check_parameters(path)
-    assert named in caught.value.remedy
-
-
-@pytest.mark.parametrize('text', ['- 1', '5', '/**/fger: 3', 'fger:\n  ros__parameters: [1]\n', ''])
-def test_a_file_that_is_no_parameter_file_is_refused(tmp_path, text):
-    path = tmp_path / 'own.yaml'
-    path.write_text(text)
-    with pytest.raises(GraphError):
-        check_parameters(path)
-
-
-def test_files_that_ros_reads_are_accepted(tmp_path):
-    path = tmp_path / 'own.yaml'
-    path.write_text(
-        '/**:\n  ros__parameters:\n    use_sim_time: true\n    force_scale: 2.0\n'
-        'left:\n  fger:\n    ros__parameters:\n      model: fger_small\n'
-        '/lidar:\n  ros__parameters:\n    anything: 1\n'
-    )
-    check_parameters(path)
-    for shipped in config_file('fger.yaml').parent.glob('*.yaml'):
-        if 'ros__parameters' in shipped.read_text():
-            check_parameters(shipped)

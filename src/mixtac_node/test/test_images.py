@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import itertools
-import struct
 import sys
 from array import array
 from types import SimpleNamespace
@@ -18,15 +17,11 @@ from hypothesis import strategies as st
 
 from mixtac_node import images as conversion
 from mixtac_node.images import (
-    COMPRESSIONS,
     ENCODINGS,
-    MOST_PIXELS,
     TARGETS,
     BridgeConverter,
     ImageConversionError,
-    compress,
     convert_colours,
-    decompress_grey,
     fill,
     grey,
     image_array,
@@ -168,41 +163,6 @@ def test_filling_is_the_inverse(encoding):
     fill(message, image, encoding)
     np.testing.assert_array_equal(pixels(message), image)
     assert message.encoding == encoding
-
-
-@pytest.mark.parametrize('kind', COMPRESSIONS)
-@pytest.mark.parametrize('encoding', ['mono8', 'mono16'])
-def test_compressed_images_come_back(encoding, kind):
-    y, x = np.mgrid[0:64, 0:48]
-    image = ((np.sin(x / 9) + np.cos(y / 7) + 2) * 60).astype(np.uint8)
-    image = image if encoding == 'mono8' else image.astype(np.uint16) * 257
-    data, name = compress(image, encoding, kind)
-    seen = decompress_grey(SimpleNamespace(data=data.tobytes(), format=name))
-    assert name.startswith(f'{encoding}; {kind} compressed ')
-    if kind == 'png':
-        np.testing.assert_array_equal(seen, image)
-    else:
-        assert np.abs(seen.astype(int) - (image >> (image.itemsize * 8 - 8)).astype(int)).max() < 6
-
-
-@given(st.binary(max_size=80), st.sampled_from(COMPRESSIONS), st.integers(0, 200), st.integers(0))
-def test_any_bytes_are_an_image_or_are_refused(noise, kind, place, value):
-    data, name = compress(random_image('mono8', 40, 40), 'mono8', kind)
-    damaged = bytearray(data.tobytes())
-    damaged[place % len(damaged)] = value % 256
-    for octets in (noise, bytes(damaged), bytes(damaged[:place]), damaged[:30] + noise):
-        try:
-            seen = decompress_grey(SimpleNamespace(data=bytes(octets), format=name))
-        except ImageConversionError:
-            continue
-        assert seen.size <= MOST_PIXELS
-
-
-def test_a_compressed_image_that_claims_to_be_huge_is_not_decoded():
-    data, name = compress(random_image('mono8', 40, 40), 'mono8', 'png')
-    huge = data.tobytes()[:16] + struct.pack('>II', 60_000, 60_000) + data.tobytes()[24:]
-    with pytest.raises(ImageConversionError):
-        decompress_grey(SimpleNamespace(data=huge, format=name))
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,8 @@ import pytest
 from mixtac_node.process import (
     GraphError,
     ProcessGroup,
-    claim_nodes,
     exact_sleeps,
     fatal_text,
-    ros_domain,
 )
 
 if TYPE_CHECKING:
@@ -153,51 +151,6 @@ def test_no_process_outlives_the_group_however_it_is_ended(tmp_path: Path, numbe
     code = parent.wait(30)
     assert code == (-number if number == signal.SIGKILL else 128 + number)
     wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
-
-
-def test_a_node_runs_once_in_a_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
-    first = claim_nodes(['/mixtac/driver', '/mixtac/fger'], 7)
-    with pytest.raises(GraphError) as caught:
-        claim_nodes(['/mixtac/view', '/mixtac/fger'], 7)
-    assert str(os.getpid()) in str(caught.value)
-    for claim in claim_nodes(['/mixtac/fger'], 8) + claim_nodes(['/left/fger'], 7):
-        claim.close()
-    for claim in first:
-        claim.close()
-    claim_nodes(['/mixtac/fger'], 7)
-
-
-@pytest.mark.parametrize(('text', 'domain'), [('7', 7), ('', 0), ('seven', None), ('-1', None)])
-def test_the_domain_is_a_number(monkeypatch: pytest.MonkeyPatch, text: str, domain: int | None):
-    monkeypatch.setenv('ROS_DOMAIN_ID', text)
-    if domain is None:
-        with pytest.raises(GraphError):
-            ros_domain()
-    else:
-        assert ros_domain() == domain
-
-
-def test_a_process_that_is_killed_gives_up_its_claims(tmp_path: Path):
-    code = """
-import time
-from mixtac_node.process import claim_nodes
-kept = claim_nodes(['/mixtac/driver'], 7)
-print('claimed', flush=True)
-time.sleep(60)
-"""
-    env = {**os.environ, 'TMPDIR': str(tmp_path)}
-
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, '-c', code], env=env, stdout=subprocess.PIPE, text=True
-        )
-
-    for _ in range(2):
-        with start() as process:
-            assert process.stdout is not None
-            assert process.stdout.readline() == 'claimed\n'
-            process.kill()
 
 
 COMPILES = """
