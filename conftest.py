@@ -356,7 +356,7 @@ def launch_arguments() -> Callable[[Path], list[str]]:
 @pytest.fixture(scope='session')
 def commands() -> dict[str, Any]:
     """Return every command of `mixtac` by the words that it is called with."""
-    from mixtac_cli.main import group
+    from mixtac_cli.main import root
 
     found: dict[str, Any] = {}
 
@@ -368,5 +368,5 @@ def commands() -> dict[str, Any]:
             _, child, _ = command.resolve_command(context, [name])
             walk(child, (*words, name))
 
-    walk(group(''), ())
+    walk(root(), ())
     return found

@@ -52,12 +52,10 @@ def simulate() -> None:
 
 def of_tests() -> None:
     """Run what a start does without."""
-    from mixtac_lab.bench.decode import measure
     from mixtac_slip_control.arm.model import make_arm
     from mixtac_slip_control.features import SlipFeatures
     from mixtac_slip_control.parameters import SlipControlParameters
 
-    measure(0.0, 100_000)
     SlipFeatures(SlipControlParameters()).warm_up()
     make_arm(SlipControlParameters(arm='fr3'))
 

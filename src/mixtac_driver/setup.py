@@ -13,7 +13,7 @@ setup(
     package_data={PACKAGE: ['py.typed', 'davis346/biases.csv']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
-        (f'share/{PACKAGE}', ['package.xml', 'udev/65-mixtac.rules']),
+        (f'share/{PACKAGE}', ['package.xml', 'mixtac_driver/udev/65-mixtac.rules']),
     ],
     install_requires=['setuptools'],
     zip_safe=False,

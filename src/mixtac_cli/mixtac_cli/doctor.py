@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+import io
+import json as json_format
 import math
 import os
-import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +24,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from mixtac_cli.acceptance import LEAST_S, automatic, check_camera, failures, person, row
-from mixtac_cli.bundle import CAPTURE_S, Bundle, hashed
 from mixtac_cli.options import JsonFile, OptionalPath
-from mixtac_driver.camera import Davis346
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.doctor.computer import (
     Finding,
@@ -35,38 +35,29 @@ from mixtac_driver.doctor.computer import (
     ok,
     worst,
 )
-from mixtac_driver.doctor.stream import Measurement, check_running, measure
+from mixtac_driver.doctor.stream import Measurement, check_running
 from mixtac_driver.doctor.usb import check_attached
-from mixtac_driver.errors import NoCameraError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import replacing, state_file, writable, write_json
+from mixtac_node.parameters import parameter_file
 
 VIRTUAL = 'virtual'
-DISTRIBUTIONS = {'3': 'Humble', '7': 'Jazzy', '9': 'Kilted'}
-"""ROS distribution by major version of rclpy."""
-PROBE = (
-    'import rclpy; from importlib.metadata import version; '
-    'from rclpy.utilities import get_rmw_implementation_identifier as rmw; '
-    "print(version('rclpy'), rmw())"
-)
-PROBE_TIMEOUT_S = 60.0
 SAFE_DOMAINS = range(102)
-"""Above these, the ports of DDS overlap those that Linux uses for outgoing connections."""
-DEVICE_SEED, SEED = 1001, 1001
+"""Above these, the ports of DDS overlap the ports that Linux uses for outgoing connections."""
+DEVICE_SEED = 1001
+SEED = 1001
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 DEFAULT_SECONDS = 3.0
-Device = Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')]
-Serial = Annotated[str, typer.Option(help='Serial number of the camera, if several are attached.')]
-KeepSerials = Annotated[
-    bool, typer.Option('--keep-serials', help='Write serial numbers, not their hashes.')
-]
+MOST_WORDS = 64 << 20
+"""Largest raw data in a bundle [bytes]."""
 
 
 def doctor(
-    device: Device = 'davis346',
-    serial: Serial = '',
+    device: Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')] = 'davis346',
+    serial: Annotated[
+        str, typer.Option(help='Serial number of the camera, if several are attached.')
+    ] = '',
     seconds: Annotated[
         float, typer.Option(min=0.5, max=600, help='How long to measure the camera (s).')
     ] = DEFAULT_SECONDS,
@@ -76,36 +67,20 @@ def doctor(
         typer.Option(
             metavar='FILE.zip',
             callback=writable,
-            help='Write a bundle for a bug report about the camera.',
+            help='Write findings, versions, parameters and raw camera data for a bug report.',
         ),
     ] = None,
-    keep_serials: KeepSerials = False,
-    acceptance: Annotated[
-        bool, typer.Option('--acceptance', help='Make the ten checks of a new camera instead.')
-    ] = False,
-    flash: Annotated[
-        bool, typer.Option('--flash', help='A light will be flashed (acceptance).')
-    ] = False,
-    unplug: Annotated[
-        bool, typer.Option('--unplug', help='The camera will be unplugged (acceptance).')
-    ] = False,
-    edges: Annotated[
-        float,
-        typer.Option(
-            min=0, max=1000, help='Frequency at the synchronisation connector (acceptance, Hz).'
-        ),
-    ] = 0.0,
 ) -> None:
     """Check software, camera and computer, measure the camera, and suggest fixes."""
     console = Console()
-    if acceptance:
-        _accept(console, device, serial, seconds, (flash, unplug, edges), json)
-        return
-    collected = Bundle(keep_serials=keep_serials) if bundle is not None else None
-    if collected is not None:
-        seconds = max(seconds, CAPTURE_S)
+    words = io.BytesIO()
+
+    def keep(data: bytes) -> None:
+        if bundle is not None and words.tell() < MOST_WORDS:
+            words.write(data)
+
     sections = []
-    for section, found in examine(device, seconds, serial=serial, bundle=collected):
+    for section, found in examine(device, seconds, serial=serial, on_transfer=keep):
         sections.append((section, found))
         console.print(table(section, found))
     findings = [finding for _, found in sections for finding in found]
@@ -117,65 +92,40 @@ def doctor(
     report: dict[str, Any] = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
     report['findings'] = rows
     write_json(json, report)
-    if collected is not None and bundle is not None:
-        collected.write(bundle, collected.members(report, HostFiles(), device), console)
+    if bundle is not None:
+        write_bundle(bundle, report, DriverParameters(device=device, serial=serial), words)
+        console.print(f'written to {escape(str(bundle))}', soft_wrap=True)
     if level is Level.ERROR:
         raise typer.Exit(1)
 
 
-def _accept(
-    console: Console,
-    device: str,
-    serial: str,
-    seconds: float,
-    steps: tuple[bool, bool, float],
-    json: Path | None,
+def write_bundle(
+    path: Path, report: dict[str, Any], parameters: DriverParameters, words: io.BytesIO
 ) -> None:
-    check_device(device)
-    flash, unplug, edges_hz = steps
-    with camera_backend(device) as backend:
-        who = person(console, flash=flash, unplug=unplug, edges_hz=edges_hz)
-        if backend is not None:
-            who = automatic(backend)
-        parameters = DriverParameters(device=device, serial=serial)
-        report = check_camera(console, parameters, max(seconds, LEAST_S), who, backend)
-    line = row(report)
-    console.print('row for docs/hardware_reports.md:', soft_wrap=True)
-    print(line)
-    write_json(json, report | {'row': line})
-    if failures(report):
-        raise typer.Exit(1)
+    """Write a zip file for a bug report.
 
+    It holds `findings.json`, `versions.json`, `driver.yaml` with the settings of the camera, which
+    determine all its registers, and `words.bin`: the bytes that the camera sent, as the decoder
+    reads them.
 
-def capture(
-    file: Annotated[
-        Path, typer.Argument(metavar='FILE.pcap', callback=writable, help='File to write.')
-    ],
-    device: Device = 'davis346',
-    serial: Serial = '',
-    seconds: Annotated[
-        float, typer.Option(min=0.1, max=3600, help='How long to capture (s).')
-    ] = CAPTURE_S,
-    keep_serials: KeepSerials = False,
-    json: JsonFile = None,
-) -> None:
-    """Capture what camera and driver say over USB; `--device FILE.pcap` replays it."""
-    if file.suffix != '.pcap':
-        raise typer.BadParameter(f'{file}: its name must end with .pcap')
-    check_device(device)
+    Raises:
+        FileError: The file cannot be written.
+    """
+    installed = {each.name: each.version for each in distributions() if each.name}
+    versions = {'python': sys.version, 'packages': dict(sorted(installed.items()))}
+    texts = {
+        'findings.json': json_format.dumps(report, indent=2),
+        'versions.json': json_format.dumps(versions, indent=2),
+        'driver.yaml': parameter_file('driver', parameters),
+    }
+    home = str(Path.home())
     with (
-        camera_backend(device) as backend,
-        replacing(file) as scratch,
-        scratch.open('wb') as out,
+        replacing(path) as scratch,
+        zipfile.ZipFile(scratch, 'w', zipfile.ZIP_DEFLATED) as archive,
     ):
-        writer = CaptureWriter(out, None if keep_serials else hashed)
-        parameters = DriverParameters(device=device, serial=serial)
-        with Davis346(parameters, backend=backend, capture=writer) as camera:
-            result = measure(camera, seconds)
-    counts = dict(writer.counts)
-    losses = result.losses | {'transfers_dropped': result.transport.dropped_transfers}
-    print(', '.join(f'{count} {name}' for name, count in counts.items()) + f' in {file}')
-    write_json(json, {'device': device, 'seconds': result.seconds, **counts, 'losses': losses})
+        for name, text in texts.items():
+            archive.writestr(name, text if home == '/' else text.replace(home, '~'))
+        archive.writestr('words.bin', words.getvalue())
 
 
 def _row(section: str, finding: Finding) -> dict[str, object]:
@@ -194,7 +144,7 @@ def examine(
     *,
     serial: str = '',
     root: Path = Path('/'),
-    bundle: Bundle | None = None,
+    on_transfer: Any = None,  # noqa: ANN401
 ) -> Iterator[tuple[str, list[Finding]]]:
     """Check everything; yield each section when it is done.
 
@@ -203,16 +153,14 @@ def examine(
         seconds: How long to measure the camera [s].
         serial: Serial number of the camera, or empty for the only one.
         root: Folder used as the root of the file system.
-        bundle: Collects what the camera sends.
+        on_transfer: Called with the data of each transfer.
 
     Raises:
         UnknownDeviceError: The device string is unknown.
     """
     check_device(device)
     files = HostFiles(root)
-    options: dict[str, Any] = {'serial': serial, 'more': check_zero}
-    if bundle is not None:
-        options |= {'capture': bundle.capture, 'watch': bundle.watch}
+    options: dict[str, Any] = {'serial': serial, 'more': check_zero, 'on_transfer': on_transfer}
     software = [check_ros(os.environ), check_domain(os.environ), check_security(os.environ)]
     software.append(check_model())
     if is_real(device):
@@ -247,31 +195,19 @@ def table(section: str, findings: list[Finding]) -> Table:
 
 
 def check_ros(environment: Mapping[str, str]) -> Finding:
-    """Check which ROS is installed.
+    """Check that rclpy can be imported, and report its version.
 
     Args:
         environment: Variables of the process.
     """
-    name, remedy = 'ROS 2', 'source the workspace: `. tools/env.sh` or `. install/setup.bash`'
-    command = [sys.executable, '-c', PROBE]
     try:
-        run = subprocess.run(
-            command,
-            env=dict(environment),
-            capture_output=True,
-            text=True,
-            timeout=PROBE_TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return Finding(name, Level.ERROR, f'import rclpy took over {PROBE_TIMEOUT_S:g} s', remedy)
-    if run.returncode:
-        reason = (run.stderr.strip().splitlines() or ['no output'])[-1]
-        return Finding(name, Level.ERROR, f'rclpy cannot be imported: {reason}', remedy)
-    version, rmw = run.stdout.split()[-2:]
-    named = environment.get('ROS_DISTRO') or DISTRIBUTIONS.get(version.partition('.')[0], 'unknown')
-    found = f'{named}, rclpy {version}, {rmw}'
-    return ok(name, found, distribution=named.lower(), rclpy=version, rmw=rmw)
+        import rclpy  # noqa: F401
+        from rclpy.utilities import get_rmw_implementation_identifier
+    except ImportError as error:
+        remedy = 'source ROS 2, or run this from a checkout as ./mixtac, which brings it'
+        return Finding('ROS 2', Level.WARN, f'rclpy cannot be imported: {error}', remedy)
+    named, rmw = environment.get('ROS_DISTRO', 'wheels'), get_rmw_implementation_identifier()
+    return ok('ROS 2', f'{named}, {rmw}', distribution=named, rmw=rmw)
 
 
 def check_domain(environment: Mapping[str, str]) -> Finding:
@@ -413,19 +349,3 @@ def _own_sensor() -> Iterator[Any]:
         yield in_process_backend(sensor.device)
     finally:
         sensor.close()
-
-
-@contextmanager
-def camera_backend(device: str) -> Iterator[Any]:
-    """Yield the pyusb backend of a virtual camera, starting one if none runs; None for a real one.
-
-    Raises:
-        NoCameraError: The named virtual sensor does not answer.
-    """
-    if is_real(device):
-        yield None
-        return
-    with virtual_camera(device) as (backend, finding):
-        if backend is None:
-            raise NoCameraError(finding.found, remedy=finding.remedy)
-        yield backend

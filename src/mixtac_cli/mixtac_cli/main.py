@@ -1,112 +1,152 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The `mixtac` command line.
+"""The `mixtac` command line: which function stands behind each command.
 
-Commands come from the entry points in the group `mixtac.commands` of whatever packages are
-installed: functions for typer, named as the command is typed, with a dot before each sub-command
-(`train`, `bench.decode`). A command is imported when it runs; lists of commands read only its
-docstring.
+A command is a function for typer. Its module is imported when the command runs or its help is
+printed, so that a short command does not wait for the imports of a long one.
 """
 
 from __future__ import annotations
 
-import ast
-import importlib.util
+import importlib
 import io
 import sys
-from functools import cached_property
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Mapping
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from mixtac_events.errors import MixtacError, error_line
 
-GROUP = 'mixtac.commands'
-INTERRUPTED = 130
-HELP = {
-    '': 'Mixtac: event- and frame-based tactile force sensing in ROS 2.',
-    'bench': 'Benchmarks of the parts.',
-    'experiments': 'Experiments on the virtual sensor.',
+COMMANDS = {
+    'align': 'mixtac_cli.align:align',
+    'calibrate': 'mixtac_cli.calibrate:calibrate',
+    'calibrate-force': 'mixtac_cli.calibrate_force.command:calibrate_force',
+    'demo': 'mixtac_cli.demo.command:demo',
+    'doctor': 'mixtac_cli.doctor:doctor',
+    'evaluate': 'mixtac_learning.commands:evaluate',
+    'export': 'mixtac_cli.export:export',
+    'import': 'mixtac_cli.export:import_',
+    'inspect': 'mixtac_cli.export:inspect',
+    'record': 'mixtac_cli.record.session:record',
+    'repair': 'mixtac_cli.export:repair',
+    'simulate': 'mixtac_cli.simulate:simulate',
+    'train': 'mixtac_learning.commands:train',
+    'up': 'mixtac_cli.up:up',
+    'view': 'mixtac_cli.up:view',
 }
-"""Help texts of the groups that are not commands themselves."""
+UP = {'slip': 'mixtac_cli.up:slip'}
+EXPERIMENTS = {
+    'all': 'mixtac_lab.experiments.harness:all_experiments',
+    'comparison': 'mixtac_lab.experiments.paper.comparison:comparison',
+    'fusion': 'mixtac_lab.experiments.paper.forces:fusion',
+    'impact': 'mixtac_lab.experiments.paper.forces:impact',
+    'inputs': 'mixtac_lab.experiments.paper.forces:inputs',
+    'model': 'mixtac_lab.experiments.paper.model:model',
+    'models': 'mixtac_lab.experiments.models:models',
+    'slip': 'mixtac_lab.experiments.paper.slip:slip',
+    'stability': 'mixtac_lab.experiments.paper.forces:stability',
+    'vibration': 'mixtac_lab.experiments.paper.vibration:vibration',
+}
+INTERRUPTED = 130
 
 
 class Commands(TyperGroup):
-    """The commands below one word of the command line, imported when they run.
+    """Commands that are imported on demand.
 
     Attributes:
-        prefix: Beginning of the names of their entry points.
+        targets: Function of each command as `module:name`, or a group of commands.
     """
 
-    prefix = ''
+    targets: Mapping[str, Any]
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002
         """Return the names of the commands, sorted."""
-        return sorted({name.partition('.')[0] for name in self._points})
+        return sorted(self.targets)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
-        """Return a command with its help text only, None for an unknown one."""
-        point = self._points.get(cmd_name)
-        if point is not None:
-            return TyperCommand(cmd_name, help=summary(point))
-        if not self._has_group(cmd_name):
-            return None
-        return TyperCommand(cmd_name, help=HELP.get(self.prefix + cmd_name, ''))
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401
-        """Return name, command and remaining words; the command is imported here."""
-        name, _, rest = super().resolve_command(ctx, args)
-        return name, self._load(str(name)), rest
-
-    def _load(self, name: str) -> Any:  # noqa: ANN401
-        point = self._points.get(name)
-        function: Any = None if point is None else point.load()
-        if self._has_group(name):
-            return group(self.prefix + name, function)
+        """Return a command, None for an unknown one."""
+        target = self.targets.get(cmd_name)
+        if not isinstance(target, str):
+            return target
         app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        app.command(name)(function)
+        try:
+            app.command(cmd_name)(load(target))
+        except MixtacError as error:
+            app.command(cmd_name, help=str(error))(raising(error))
         return get_command(app)
 
-    def _has_group(self, name: str) -> bool:
-        return any(each.startswith(f'{name}.') for each in self._points)
 
-    @cached_property
-    def _points(self) -> dict[str, EntryPoint]:
-        start = len(self.prefix)
-        found = entry_points(group=GROUP)
-        return {each.name[start:]: each for each in found if each.name.startswith(self.prefix)}
+def load(target: str) -> Any:  # noqa: ANN401
+    """Return the function that `module:name` names.
 
-
-def group(name: str, function: Any = None) -> Any:  # noqa: ANN401
-    """Return the group of the commands whose entry points begin with a name and a dot.
-
-    Args:
-        name: The name, empty for all commands.
-        function: Called without a sub-command; None shows the help instead.
+    Raises:
+        MixtacError: A package that it needs is not installed.
     """
-    cls = type('Commands', (Commands,), {'prefix': f'{name}.' if name else ''})
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    if function is None:
-        options: dict[str, Any] = {'no_args_is_help': True, 'help': HELP.get(name, '')}
-        app.callback(cls=cls, **options)(lambda: None)
-    else:
-        app.callback(cls=cls, invoke_without_command=True)(function)
-    command = get_command(app)
-    command.name = name.rpartition('.')[2] or 'mixtac'
+    module, _, name = target.partition(':')
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        if error.name is None or (error.name.startswith('mixtac') and error.name in module):
+            remedy = 'install the whole of Mixtac, not only the part for robots'
+        else:
+            remedy = f"install it: pip install '{error.name}', or an extra of pyproject.toml"
+        raise MixtacError(f'{error.name} is not installed', remedy=remedy) from error
+
+
+def raising(error: MixtacError) -> Any:  # noqa: ANN401
+    """Return a command that raises an error: the help lists it, with the reason."""
+
+    def command() -> None:
+        raise error
+
     return command
 
 
-def summary(point: EntryPoint) -> str:
-    """Return the first paragraph of a command's docstring without importing its module."""
-    spec = importlib.util.find_spec(point.module)
-    source = getattr(spec and spec.loader, 'get_source', lambda _: None)(point.module) or ''
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef) and node.name == point.attr:
-            return (ast.get_docstring(node) or '').partition('\n\n')[0]
-    return (point.load().__doc__ or '').partition('\n\n')[0]
+def group(name: str, targets: Mapping[str, Any], text: str, function: Any = None) -> Any:  # noqa: ANN401
+    """Return a group of commands.
+
+    Args:
+        name: Its name.
+        targets: Its commands, see `Commands`.
+        text: Its help.
+        function: Called without a sub-command; None prints the help.
+    """
+    cls = type('Commands', (Commands,), {'targets': targets})
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    if function is None:
+        app.callback(cls=cls, no_args_is_help=True, help=text)(lambda: None)
+    else:
+        app.callback(cls=cls, invoke_without_command=True)(function)
+    command = get_command(app)
+    command.name = name
+    return command
+
+
+class Root(Commands):
+    """The commands, with `up` and `experiments` as groups."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401
+        """Return a command, None for an unknown one."""
+        if cmd_name == 'up':
+            return group('up', UP, '', load(COMMANDS['up']))
+        if cmd_name == 'experiments':
+            return group('experiments', EXPERIMENTS, "The paper's experiments.")
+        return super().get_command(ctx, cmd_name)
+
+
+def root() -> Any:  # noqa: ANN401
+    """Return the command `mixtac`."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    targets = {**COMMANDS, 'experiments': None}
+    cls = type('Commands', (Root,), {'targets': targets})
+    text = 'Mixtac: event- and frame-based tactile force sensing in ROS 2.'
+    app.callback(cls=cls, no_args_is_help=True, help=text)(lambda: None)
+    command = get_command(app)
+    command.name = 'mixtac'
+    return command
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -124,7 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
             # Names of files need not be UTF-8.
             stream.reconfigure(errors='backslashreplace')
     try:
-        result = group('')(arguments, prog_name='mixtac', standalone_mode=False)
+        result = root()(arguments, prog_name='mixtac', standalone_mode=False)
     except MixtacError as error:
         print(error_line(str(error)), file=sys.stderr)
         return 1

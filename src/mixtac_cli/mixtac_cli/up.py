@@ -10,7 +10,6 @@ response to a disturbance depend on the speed of the host.
 
 from __future__ import annotations
 
-import importlib.util
 import tempfile
 import time
 from collections.abc import Sequence
@@ -32,8 +31,8 @@ from mixtac_node.graph import (
     sensor_graph,
     slip_control,
 )
-from mixtac_node.process import ProcessGroup, claim_nodes, ros_domain
-from mixtac_node.topics import DEFAULT_NAMESPACE, absolute
+from mixtac_node.process import ProcessGroup
+from mixtac_node.topics import DEFAULT_NAMESPACE
 
 POLL_S = 0.2
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
@@ -50,12 +49,8 @@ def start_nodes(
     """Start the processes of nodes; see `NodeSpec.command`.
 
     Raises:
-        GraphError: A package is not built, a parameter file does not exist, one of the nodes runs
-            already, or `ROS_DOMAIN_ID` is not a number.
+        GraphError: A package is not built, or a parameter file does not exist.
     """
-    names = [absolute(node.name, namespace) for node in nodes]
-    for claim in claim_nodes(names, ros_domain()):
-        claim.close()
     for node in nodes:
         processes.start(node.name, node.command(namespace, params_file, log_level))
 
@@ -102,9 +97,6 @@ def up(
     view: Annotated[
         bool, typer.Option(help='Show the sensor in the browser (needs `make view`).')
     ] = False,
-    single_process: Annotated[
-        bool, typer.Option(help='Run driver and estimator in one process.')
-    ] = False,
 ) -> None:
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
     if context.invoked_subcommand is not None:
@@ -120,7 +112,6 @@ def up(
         device,
         estimator=estimator,
         virtual_sensor={'loop': True} if play else None,
-        single_process=single_process,
         view=view,
     )
     if record is not None:
@@ -172,15 +163,6 @@ def _activate(
             monitor.trigger('virtual_sensor/play', processes.check)
 
 
-def _check_plant(value: str) -> str:
-    one_of('lag', 'mujoco')(value)
-    if value == 'mujoco' and importlib.util.find_spec('mujoco') is None:
-        raise typer.BadParameter(
-            'MuJoCo is not installed: python3 tools/setup.py --with mujoco, or choose lag'
-        )
-    return value
-
-
 def slip(
     object_name: Annotated[
         str,
@@ -214,12 +196,6 @@ def slip(
         int,
         typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
     ] = 1,
-    plant: Annotated[
-        str,
-        typer.Option(
-            help='Arm model: lag, or mujoco (requirements/mujoco.txt).', callback=_check_plant
-        ),
-    ] = 'lag',
     seconds: RunTime = 0.0,
     figure: Annotated[
         Path,
@@ -241,14 +217,7 @@ def slip(
             'publish_clock': True,
             'publish_force': False,
         }
-        # The virtual arm does not report what it commands.
-        reach = {
-            'normal_frame': 'base',
-            'normal_y': 1.0,
-            'normal_z': 0.0,
-            'controller_state_topic': 'none',
-        }
-        arm = {'plant': plant, **simulated}
+        reach = {'normal_frame': 'base', 'normal': '0 1 0'}
         supervisor = {
             'knock_every': every if disturb > 0.0 else 0.0,
             'figure': str(figure.absolute()),
@@ -264,7 +233,7 @@ def slip(
         nodes = [
             NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **simulated}),
-            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
+            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=simulated),
             NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
             fger,
         ]

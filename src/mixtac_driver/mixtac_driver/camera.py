@@ -16,15 +16,12 @@ from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.decode.state import DecoderCounters
-from mixtac_driver.device import DATA_ENDPOINT, DEBUG_ENDPOINT, Connection, attached_cameras
+from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_driver.usb.libusb import AsynchronousReader
 from mixtac_driver.usb.transport import (
     BulkReader,
-    DebugMessage,
-    DebugReader,
     Gap,
     Transfer,
     TransportCounters,
@@ -112,9 +109,8 @@ class Davis346:
     Args:
         parameters: Device, transport and settings.
         pixel_filter: Pixels whose events the camera drops, most important first.
-        on_debug: Called, in a thread of its own, with messages of the camera's USB controller.
         backend: A pyusb backend to use instead of the one that the device string names.
-        capture: Takes all control requests and data.
+        on_transfer: Called with the data of each transfer, before they are decoded.
 
     Attributes:
         control: Settings and requests; usable from any thread, open or not.
@@ -127,23 +123,21 @@ class Davis346:
         parameters: DriverParameters | None = None,
         *,
         pixel_filter: PixelFilter = (),
-        on_debug: Callable[[DebugMessage], None] | None = None,
         backend: Any = None,  # noqa: ANN401
-        capture: CaptureWriter | None = None,
+        on_transfer: Callable[[bytes], None] | None = None,
     ) -> None:
-        self._capture = capture
+        self._on_transfer = on_transfer
         self._p = p = parameters or DriverParameters()
         self.clock = ClockMap()
         self.is_master = True
         self.control = CameraControl(p, pixel_filter)
-        self._backend, self._on_debug = backend, on_debug
+        self._backend = backend
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
         # Of the latest stream; its counters stay readable after it ends.
         self._reader: AsynchronousReader | BulkReader | None = None
         self._decoder: StreamDecoder | None = None
-        self._debug_reader: DebugReader | None = None
         self._period_us = round(p.event_message_time_threshold * 1e6)
         self._due_us = 0
 
@@ -221,7 +215,7 @@ class Davis346:
             UsbError: A request failed.
         """
         p, known = self._p, self._identity.serial if self._identity else ''
-        connection = Connection(p.device, p.serial, self._backend, known, self._capture)
+        connection = Connection(p.device, p.serial, self._backend, known)
         try:
             identity = read_identity(
                 connection.protocol,
@@ -253,11 +247,6 @@ class Davis346:
             identity.geometry, imu_flips=identity.imu_flips, imu_type=identity.imu_type
         )
         reader = self._make_reader(connection)
-        if self._on_debug is not None and self._debug_reader is None:
-            self._debug_reader = DebugReader(
-                partial(connection.read, DEBUG_ENDPOINT), self._on_debug
-            )
-            self._debug_reader.start()
 
         def begin_reading() -> None:
             connection.clear_halt()
@@ -290,8 +279,8 @@ class Davis346:
             now_s = time.monotonic()
             if transfer is not None:
                 heard_s = now_s
-                if self._capture is not None:
-                    self._capture.arrival(transfer.data, transfer.arrival_ns)
+                if self._on_transfer is not None:
+                    self._on_transfer(transfer.data)
                 yield from self._decode(decoder, epochs, connection, transfer)
             elif decoder.waiting:
                 # The end of the packet will not come soon.
@@ -334,9 +323,6 @@ class Davis346:
             StreamError: The read in progress does not return.
         """
         self.request_stop()
-        debug_reader, self._debug_reader = self._debug_reader, None
-        if debug_reader is not None:
-            debug_reader.stop()
         if self._reader is not None and self._connection is not None:
             self.control.stop(self._reader.stop)
 

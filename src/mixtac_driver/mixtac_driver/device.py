@@ -23,7 +23,6 @@ from usb.core import USBError
 
 from mixtac_driver.davis346.model import camera_models, models_for
 from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, UsbError
-from mixtac_driver.usb.capture import CaptureWriter, TappedDevice
 from mixtac_driver.usb.libusb import LibusbPort
 from mixtac_driver.usb.protocol import Protocol, usb_failure
 from mixtac_events.errors import MixtacError
@@ -206,7 +205,6 @@ def _serial_of(camera: Any) -> str:  # noqa: ANN401
 
 
 DATA_ENDPOINT = 0x82
-DEBUG_ENDPOINT = 0x81
 CONFIGURATION = 1
 INTERFACE = 0
 LAST_READ_S = 0.3
@@ -226,7 +224,6 @@ class Connection:
         preferred: Serial number of the camera to take where several are attached and `serial` is
             empty.
         backend: A pyusb backend to use instead of the one that `device` names.
-        capture: Takes the control requests, and what describes the camera.
 
     Attributes:
         serial: Serial number of the camera.
@@ -244,17 +241,13 @@ class Connection:
         serial: str = '',
         backend: Any = None,  # noqa: ANN401
         preferred: str = '',
-        capture: CaptureWriter | None = None,
     ) -> None:
         self._backend = open_backend(device) if backend is None else backend
         self._device, self.serial = find_camera(self._backend, device, serial, preferred)
         self._reads, self._read_ended = 0, threading.Condition()
-        tapped = self._device if capture is None else TappedDevice(self._device, capture)
-        self.protocol = Protocol(tapped)
+        self.protocol = Protocol(self._device)
         try:
             self._claim()
-            if capture is not None:
-                capture.describe(self._device, self.serial)
         except USBError as error:
             self.close()
             failure = usb_failure(error, 'claiming the camera')

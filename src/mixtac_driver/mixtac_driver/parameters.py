@@ -40,8 +40,7 @@ class DeviceParameters:
 
     Attributes:
         device: Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for
-            the virtual sensor, or the path of a recording (an AEDAT4 file, a bag folder or file, a
-            capture or a bundle)
+            the virtual sensor, or the path of a recording (an AEDAT4 file, a bag folder or file)
         serial: Serial number of the camera. Empty: the only one attached
         encoding: Encoding of event packets
         event_message_time_threshold: Longest time that an event packet spans
@@ -64,13 +63,7 @@ class DeviceParameters:
         camerainfo_url: Calibration written by `mixtac calibrate`: file:///path, package://name/path
             or a path, where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty:
             file://${ROS_HOME}/camera_info/${NAME}.yaml
-        undistort_frames: Also publish frames without lens distortion; needs a calibration
         undistort_events: Also publish events at undistorted pixels; needs a calibration
-        compressed_frames: Also publish frames on image_raw/compressed, for networks: `jpeg` with 8
-            bits, or `png` without loss; empty for none
-        saved_parameters: Name of the file, such as left.yaml, to which the service save_parameters
-            writes the running settings, in the state folder ($MIXTAC_HOME, by default
-            ~/.local/state/mixtac)
     """
 
     device: str = fixed('davis346')
@@ -92,10 +85,7 @@ class DeviceParameters:
     recovery_give_up_after: float = fixed(0.0, unit='s', within=(0.0, 86_400.0))
     camera_name: str = fixed('davis346')
     camerainfo_url: str = fixed('')
-    undistort_frames: bool = fixed(False)
     undistort_events: bool = fixed(False)
-    compressed_frames: str = fixed('', choices=('', 'jpeg', 'png'))
-    saved_parameters: str = fixed('driver.yaml')
 
 
 NO_SEEK = -1.0

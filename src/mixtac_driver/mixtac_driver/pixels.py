@@ -13,7 +13,6 @@ pixels may be adjacent.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -138,16 +137,8 @@ def load_mask(path: str) -> PixelMask:
     # Slow to import, and rarely needed.
     import cv2
 
-    from mixtac_node.images import HEADER_SIZE, MOST_PIXELS, coded_size
-
-    width = height = 0
-    with contextlib.suppress(OSError):
-        # Opening a pipe would wait.
-        if Path(path).is_file():
-            with Path(path).open('rb') as file:
-                width, height = coded_size(file.read(HEADER_SIZE))
-    sound = 0 < width * height <= MOST_PIXELS
-    image: Any = cv2.imread(path, cv2.IMREAD_UNCHANGED) if sound else None
+    # Opening a pipe would wait.
+    image: Any = cv2.imread(path, cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
     if image is None:
         raise ConfigurationError(
             f'pixel mask {path!r} cannot be read',

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from typing import Protocol
@@ -14,11 +14,7 @@ from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.usb.transport import DebugMessage
 from mixtac_recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES
-
-CAPTURE_SUFFIXES = ('.pcap', '.zip')
-"""Captures of USB, and bundles that hold one."""
 
 
 class Source(Protocol):
@@ -95,11 +91,7 @@ def source_kind(device: str) -> SourceKind:
         check_device(device)
     except UnknownDeviceError as error:
         path = Path(device)
-        if (
-            path.suffix in (AEDAT4_SUFFIX, *BAG_SUFFIXES, *CAPTURE_SUFFIXES)
-            or '/' in device
-            or path.exists()
-        ):
+        if path.suffix in (AEDAT4_SUFFIX, *BAG_SUFFIXES) or '/' in device or path.exists():
             return SourceKind.RECORDED
         remedy = f'{error.remedy}, or the path of a recording'
         raise UnknownDeviceError(error.message, remedy=remedy) from error
@@ -110,30 +102,19 @@ def make_source(
     parameters: DriverParameters,
     *,
     pixel_filter: PixelFilter = (),
-    on_debug: Callable[[DebugMessage], None] | None = None,
 ) -> Source:
     """Return the source behind the parameter `device`, not yet open.
 
     Args:
         parameters: All of them.
         pixel_filter: Pixels whose events a camera drops, most important first.
-        on_debug: Called, in a thread of its own, with messages of a camera's USB controller.
 
     Raises:
         UnknownDeviceError: The device string names nothing known.
-        RecordingError: It names a capture that cannot be read.
     """
-    backend, path = None, Path(parameters.device)
-    recorded = source_kind(parameters.device) is SourceKind.RECORDED
-    if recorded and path.suffix in CAPTURE_SUFFIXES:
-        from mixtac_driver.playback.replay import ReplayBackend, ReplayedCamera
-        from mixtac_driver.usb.capture import read_capture
-
-        camera = ReplayedCamera(read_capture(path), loop=parameters.playback_loop)
-        backend = ReplayBackend(camera)
-    elif recorded:
+    if source_kind(parameters.device) is SourceKind.RECORDED:
         # A camera's driver starts without the readers of recordings.
         from mixtac_driver.playback.source import RecordedSource
 
         return RecordedSource(parameters)
-    return Davis346(parameters, pixel_filter=pixel_filter, on_debug=on_debug, backend=backend)
+    return Davis346(parameters, pixel_filter=pixel_filter)

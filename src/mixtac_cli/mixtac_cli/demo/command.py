@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac_cli.calibrate_force.live import LiveProcedure
 from mixtac_cli.demo.evaluation import WINDOW_NS
 from mixtac_cli.demo.live_table import PERIOD_S, LiveTable
-from mixtac_cli.demo.report import BAG, PRESET, SIDEWAYS_BAG, Run, evaluate, print_summary
-from mixtac_cli.demo.sideways import SCENARIO, SECONDS
+from mixtac_cli.demo.report import BAG, PRESET, Run, evaluate, print_summary
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
@@ -33,8 +30,6 @@ from mixtac_node.topics import CONTACT, CONTACT_POINT, DEFAULT_NAMESPACE, Topic
 SETTLE_S = 1.0
 LEAD_S = 8.0
 """Delay of the scenario after time goes on again."""
-SIDEWAYS_LEAD_S = 1.0
-"""The same of the second part, in which no latency is measured."""
 CLOCK_S = 5.0
 """Time in which the driver finds out that the camera's clock stood still."""
 START_UP_S = 60.0
@@ -126,7 +121,6 @@ def _run_graph(
         'play_on_start': False,
         'loop': False,
         'lead_seconds': LEAD_S,
-        'slow_host': 'wait',
     }
     # A blow saturates the sensor for an instant, and its peak is to be seen.
     estimator = {'invalid_force': 'publish'}
@@ -147,7 +141,7 @@ def _run_graph(
     console.print('starting virtual sensor, driver and estimator')
     with (
         ProcessGroup(out / 'log') as processes,
-        Monitor(DEFAULT_NAMESPACE, seconds + SECONDS + START_UP_S) as monitor,
+        Monitor(DEFAULT_NAMESPACE, seconds + START_UP_S) as monitor,
     ):
         start_nodes(processes, sensor)
         monitor.bring_up_all(sensor, processes)
@@ -158,23 +152,23 @@ def _run_graph(
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         lost_s = _lost_s(monitor)
-        _compute_scenario(console, processes, monitor, plays=1)
+        _compute_scenario(console, processes, monitor)
         time.sleep(CLOCK_S)
         computed_s = _lost_s(monitor) - lost_s
-        first, times, pairs = monitor.force_count, _processor_times(), len(monitor.clock_pairs())
+        first, pairs = monitor.force_count, len(monitor.clock_pairs())
         LiveTable(console, monitor).show(LEAD_S - CLOCK_S + seconds + TAIL_S, processes.check)
-        host = _shares(_processor_times() - times)
         arrival, stamp, _ = monitor.force()
         waited_s = _lost_s(monitor) - lost_s - computed_s
         run = Run(
-            *(gain, _dropped(monitor), computed_s, waited_s, host),
-            *(monitor.clock_pairs()[pairs:], arrival[first:], stamp[first:]),
+            gain=gain,
+            dropped=_dropped(monitor),
+            computed_s=computed_s,
+            waited_s=waited_s,
+            clock_pairs=monitor.clock_pairs()[pairs:],
+            arrival_ns=arrival[first:],
+            stamp_ns=stamp[first:],
         )
-        codes = (
-            processes.stop('recorder'),
-            _pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor),
-            processes.stop(),
-        )
+        codes = (processes.stop('recorder'), processes.stop())
         failed = {name: code for each in codes for name, code in each.items() if code}
     return run, failed
 
@@ -188,23 +182,6 @@ def _record(
     while not monitor.values('recorder'):
         time.sleep(0.1)
         processes.check()
-
-
-def _pull_and_roll(
-    console: Console, bag: Path, processes: ProcessGroup, monitor: Monitor
-) -> dict[str, int]:
-    """Play and record the second part, of which only the sideways force and places count.
-
-    Returns:
-        Exit status of the recorder.
-    """
-    console.print('a pull sideways and a roll')
-    _record(bag, processes, monitor)
-    scenario = {'scenario': SCENARIO, 'seconds': SECONDS, 'lead_seconds': SIDEWAYS_LEAD_S}
-    monitor.set_parameters('virtual_sensor', scenario, processes.check)
-    _compute_scenario(console, processes, monitor, plays=2)
-    LiveTable(console, monitor).show(SIDEWAYS_LEAD_S + SECONDS + TAIL_S, processes.check)
-    return processes.stop('recorder')
 
 
 def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
@@ -225,12 +202,10 @@ def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> f
     return calibration.gain
 
 
-def _compute_scenario(
-    console: Console, processes: ProcessGroup, monitor: Monitor, plays: int
-) -> None:
-    """Start a scenario, the first or a later one; return when it is computed."""
+def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monitor) -> None:
+    """Start the scenario; return when it is computed."""
     monitor.trigger('virtual_sensor/play', processes.check)
-    while int(monitor.values('virtual_sensor').get('plays', 0)) < plays:
+    while int(monitor.values('virtual_sensor').get('plays', 0)) < 1:
         time.sleep(0.1)
         processes.check()
     with console.status('computing the scenario') as status:
@@ -244,17 +219,6 @@ def _compute_scenario(
 def _lost_s(monitor: Monitor) -> float:
     """Return for how long simulated time has stopped so far [s]."""
     return float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
-
-
-def _processor_times() -> NDArray[np.int64]:
-    """Return user, nice, system, idle, wait, two kinds of interrupts and stolen time so far."""
-    first, *_ = Path('/proc/stat').read_text(encoding='ascii').splitlines()
-    return np.array(first.split()[1:9], np.int64)
-
-
-def _shares(spent: NDArray[np.int64]) -> dict[str, float]:
-    idle, stolen = (spent[[3, 7]] / max(1, spent.sum())).tolist()
-    return {'host_idle': idle, 'host_stolen': stolen}
 
 
 def _dropped(monitor: Monitor) -> int:

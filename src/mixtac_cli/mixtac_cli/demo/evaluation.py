@@ -262,19 +262,6 @@ def _between(
     return values[(time_s >= start_s) & (time_s <= end_s)]
 
 
-def frame_jump(streams: Streams) -> float | None:
-    """Return the mean change of the force at frames over that between them; None without frames."""
-    change = np.abs(np.diff(streams.force_n[:, 2]))
-    ages = dict(streams.frame_ages.tolist())
-    age = np.array([ages.get(end_ns, -1) for end_ns in streams.force_ns.tolist()])
-    in_order = np.diff(streams.force_ns) == WINDOW_NS
-    known = in_order & (age[1:] >= 0) & (age[:-1] >= 0)
-    younger = age[1:] < age[:-1]
-    if not (known & younger).any() or not (known & ~younger).any():
-        return None
-    return float(change[known & younger].mean() / change[known & ~younger].mean())
-
-
 def event_rate(
     streams: Streams, comparison: Comparison | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a demo: computed from its bags, drawn, and printed."""
+"""Figures of a demo: computed from its bag, drawn, and printed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from rich.console import Console
 
 from mixtac_alignment.align import align
 from mixtac_alignment.bags import read_recording
-from mixtac_alignment.clock_fit import ClockFit
-from mixtac_alignment.errors import AlignmentError, InconsistentFitError
+from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.demo.drawing import draw_run
 from mixtac_cli.demo.evaluation import (
     compare,
     event_rate,
-    frame_jump,
     host_time,
     lost_windows,
     mae,
@@ -31,12 +29,10 @@ from mixtac_cli.demo.evaluation import (
     read_streams,
     truth_mae,
 )
-from mixtac_cli.demo.sideways import read_sideways, true_path
 from mixtac_cli.figures import make_table
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 BAG: Final = 'bag'
-SIDEWAYS_BAG: Final = 'bag_sideways'
 PRESET: Final = 'paper_like'
 """What the shipped model was trained for."""
 MAX_FORCE_GAP_S: Final = 2.0
@@ -52,7 +48,6 @@ class Run:
         dropped: Transfers, words, frames and messages that nodes dropped.
         computed_s: Time for which simulated time stopped to compute the scenario [s].
         waited_s: Time for which it stopped later [s].
-        host: `host_idle` and `host_stolen`, as from `evaluate`.
         clock_pairs: (host, camera) clock pairs [ns] of the scenario, shape (N, 2), int64.
         arrival_ns: Arrival of each force, host clock [ns], int64.
         stamp_ns: Stamp of each force, camera clock [ns], int64.
@@ -62,7 +57,6 @@ class Run:
     dropped: int
     computed_s: float
     waited_s: float
-    host: dict[str, float]
     clock_pairs: NDArray[np.int64]
     arrival_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
@@ -89,8 +83,6 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
         `mae_uncalibrated_n`: What `mae_n` would be without the calibration.
         `gain`: Factor of the force that the calibration found; 1 if it was refused.
         `peak_error`: Relative error of the peak of the impact; None if it is not known.
-        `frame_jump`: Mean change of the force where a frame corrects it over the mean change
-            elsewhere.
         `reference_zero_n`: What the reference showed without a load, before and after [N].
         `constant_mae_n`: Error of the best constant guess on the same samples.
         `truth_mae_n`: Mean absolute error against the simulated force itself.
@@ -100,31 +92,22 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
         `lost_packets`: Event packets missing in the recording.
         `computed_s`: Time for which simulated time stopped to compute the scenario [s].
         `waited_s`: Time for which it stopped later, because the host was too slow [s].
-        `host_idle`: Part of the host's processor time that nobody used during the scenario.
-        `host_stolen`: Part of it that a virtual machine's host gave to others: with more than a
-            hundredth, `latency_ms` is the host's and not the graph's.
         `dropped`: Transfers, words, frames and messages dropped inside nodes .
         `clock_drift_ppm`: Drift of the reference clock found by the alignment.
-        `aligned_by`: Method of the alignment, `refined` if the frames agree with the taps.
+        `aligned_by`: Method of the alignment.
         `refused`: Why the alignment was refused, or empty.
-        `sideways_mae_n`: Mean absolute error per axis of the sideways force against the simulated
-            one, in the second part, while it touches; None if it was never known.
-        `sideways_size_n`: Mean absolute value of the same force per axis.
-        `sideways_peak_n`: Its largest magnitude.
-        `sideways_unknown`: Windows of the second part in contact without a sideways force.
     """
     streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
     comparison, refused = None, ''
     try:
-        comparison = compare(streams, _aligned(out / BAG))
+        fit, _ = align(read_recording(out / BAG), max_gap_s=MAX_FORCE_GAP_S)
+        comparison = compare(streams, fit)
     except AlignmentError as error:
         refused = str(error)
     pairs = run.clock_pairs if run.waited_s == 0.0 else None
     latency = (run.arrival_ns - host_time(streams, run.stamp_ns, pairs)) / 1e6
     rate = event_rate(streams, comparison)
     shown = phases(seconds, seed)
-    path_mm = true_path(seed, PRESET)
-    sideways = read_sideways(out / SIDEWAYS_BAG, DEFAULT_NAMESPACE, path_mm)
     report: dict[str, Any] = {
         'seconds': seconds,
         'seed': seed,
@@ -141,7 +124,6 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
         'mae_uncalibrated_n': mae(comparison, 1.0 / run.gain) if comparison else None,
         'gain': run.gain,
         'peak_error': peak_error(comparison, shown) if comparison else None,
-        'frame_jump': frame_jump(streams),
         'reference_zero_n': comparison.zeros_n if comparison else None,
         'constant_mae_n': comparison.constant_mae_n if comparison else None,
         'truth_mae_n': truth_mae(streams, pairs),
@@ -151,34 +133,18 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
         'lost_packets': streams.lost_packets,
         'computed_s': run.computed_s,
         'waited_s': run.waited_s,
-        **run.host,
         'dropped': run.dropped,
         'clock_drift_ppm': comparison.fit.drift_ppm if comparison else None,
         'aligned_by': comparison.fit.method if comparison else None,
         'refused': refused,
-        **sideways.figures,
     }
     if comparison is not None:
         title = (
             f'Virtual sensor (simulated), seed {seed}: MAE {report["mae_n"]:.3f} N against the '
             f'aligned reference, {report["force_hz"]:.1f} Hz, {report["lost"]} lost'
         )
-        draw_run(out / 'demo.png', comparison, rate, shown, title, sideways)
+        draw_run(out / 'demo.png', comparison, rate, shown, title)
     return report
-
-
-def _aligned(bag: Path) -> ClockFit:
-    """Return the clock map: refined with the frames, or by the taps alone where these contradict.
-
-    Raises:
-        AlignmentError: The taps were not found.
-    """
-    recording = read_recording(bag)
-    try:
-        return align(recording, max_gap_s=MAX_FORCE_GAP_S)[0]
-    except InconsistentFitError:
-        # A simulated clock never jumps; what contradicts is the model of the gel.
-        return align(recording, method='two_impulse', max_gap_s=MAX_FORCE_GAP_S)[0]
 
 
 def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> None:
@@ -211,22 +177,12 @@ def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('  best constant guess, MAE', f'{_figure(report["constant_mae_n"])} N'),
         ('error against the simulated force, MAE', f'{report["truth_mae_n"]:.3f} N'),
         ("error of the impact's peak", _percent(report['peak_error'])),
-        ('change at frames over change between', _figure(report['frame_jump'], 1)),
-        (
-            'sideways force, MAE / mean size / largest',
-            ' / '.join(_figure(report[f'sideways_{name}_n']) for name in ('mae', 'size', 'peak'))
-            + ' N',
-        ),
         ('reference clock drift found', f'{_figure(report["clock_drift_ppm"], 1)} ppm'),
         ('lost: force samples', str(report['lost'])),
         ('lost: event packets', str(report['lost_packets'])),
         ('forces marked as not valid', str(report['invalid'])),
         ('dropped inside nodes', str(report['dropped'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
-        (
-            'processors of the host idle / taken by others',
-            f'{_percent(report["host_idle"], "")} / {_percent(report["host_stolen"], "")}',
-        ),
     ]
 
 

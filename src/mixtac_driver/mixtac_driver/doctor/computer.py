@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import platform
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -101,24 +100,20 @@ def read_text(path: Path) -> str | None:
 
 
 CPUS = '/sys/devices/system/cpu'
-RECEIVE_LIMIT = '/proc/sys/net/core/rmem_max'
-FRAGMENT_MEMORY = '/proc/sys/net/ipv4/ipfrag_high_thresh'
-FRAGMENT_TIME = '/proc/sys/net/ipv4/ipfrag_time'
 SLOW_GOVERNORS = frozenset({'powersave', 'ondemand', 'conservative'})
 OWN_GOVERNOR = frozenset({'intel_pstate', 'amd-pstate-epp'})
 """Drivers whose `powersave` lets the processor run at full speed."""
 LEAST_CORES = 2
 LEAST_DISK_GB = 10.0
-BURST_BYTES = 1_400_000
-"""A frame of 16 bits (180 kB) and 10 ms of events at the sensor's limit of 12 million per second
-(480 kB), twice because the kernel counts its bookkeeping too."""
-MOST_FRAGMENT_TIME_S = 3
-"""A datagram of 64 kB that lost a fragment is kept so long; of those of a lossy network, 40 frames
-a second fill the memory for all others."""
-LOST_PER_S = 40 * 65536
 UNSYNCHRONISED = 0x40
 """STA_UNSYNC of adjtimex(2)."""
-LONG_BYTES, TIMEX_BYTES, TIMEX_STATUS_AT, TIMEX_ERROR_AT = 8, 208, 40, 24
+LONG_BYTES = 8
+TIMEX_BYTES = 208
+"""Size of `struct timex` on 64-bit systems [bytes]."""
+TIMEX_ERROR_AT = 24
+"""Offset of `esterror` [bytes]."""
+TIMEX_STATUS_AT = 40
+"""Offset of `status` [bytes]."""
 
 
 def check_processor(files: HostFiles) -> Finding:
@@ -137,13 +132,6 @@ def check_processor(files: HostFiles) -> Finding:
         remedy = 'for steady latency: sudo cpupower frequency-set -g performance'
         return Finding('processor', Level.WARN, found, remedy, values)
     return Finding('processor', Level.OK, found, values=values)
-
-
-def check_kernel(files: HostFiles) -> Finding:
-    """Report the kernel and whether it is a real-time one."""
-    realtime = files.text('/sys/kernel/realtime') == '1'
-    release = f'{platform.system()} {platform.release()}'
-    return ok('kernel', release + (', real-time' if realtime else ''), realtime=realtime)
 
 
 def kernel_clock() -> tuple[bool, float]:
@@ -191,36 +179,6 @@ def check_disk(folder: Path) -> Finding:
     return Finding('disk', Level.OK, found, values=values)
 
 
-def check_receive_buffer(files: HostFiles) -> Finding:
-    """Check that bursts fit the receive buffers of DDS between machines."""
-    limit = files.number(RECEIVE_LIMIT)
-    if limit is None:
-        return ok('network buffers', 'unknown (not reported by the kernel)')
-    values = {'limit [bytes]': limit, 'needed [bytes]': BURST_BYTES}
-    if limit >= BURST_BYTES:
-        return Finding('network buffers', Level.OK, f'{limit} bytes', values=values)
-    found = f'{limit} bytes; a frame and a burst of events need {BURST_BYTES} between machines'
-    remedy = 'on the receiving machine: sudo sysctl -w net.core.rmem_max=4194304'
-    return Finding('network buffers', Level.WARN, found, remedy, values)
-
-
-def check_fragments(files: HostFiles) -> Finding:
-    """Check that incomplete datagrams of a lossy network leave room for others."""
-    name = 'IP fragments'
-    memory, seconds = files.number(FRAGMENT_MEMORY), files.number(FRAGMENT_TIME)
-    if memory is None or seconds is None:
-        return ok(name, 'unknown (not reported by the kernel)')
-    values = {'memory [bytes]': memory, 'time [s]': seconds}
-    found = f'incomplete datagrams are kept for {seconds} s in up to {memory} bytes'
-    if seconds <= MOST_FRAGMENT_TIME_S or memory >= 2 * LOST_PER_S * seconds:
-        return Finding(name, Level.OK, found, values=values)
-    remedy = (
-        'where frames cross a lossy network, on the receiving machine: '
-        f'sudo sysctl -w net.ipv4.ipfrag_time={MOST_FRAGMENT_TIME_S}'
-    )
-    return Finding(name, Level.OK, found, remedy, values)
-
-
 def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
     """Return all findings about the computer.
 
@@ -233,9 +191,6 @@ def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
         synchronised, error_s = kernel_clock()
     return [
         check_processor(files),
-        check_kernel(files),
         check_disk(folder),
-        check_receive_buffer(files),
-        check_fragments(files),
         check_clock(synchronised, error_s),
     ]

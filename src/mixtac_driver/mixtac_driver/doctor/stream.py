@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_driver.camera import LOSSES, CameraBatch, Davis346
+from mixtac_driver.camera import LOSSES, Davis346
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.doctor.computer import Finding, Level, Value, ok
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_driver.usb.transport import TransportCounters
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_events.errors import MixtacError
@@ -46,6 +46,7 @@ class Measurement:
         clock: The map from the camera's clock to the host's, or None without data.
         clock_resets: Resets of the camera's clock that the driver did not request.
         latest: Latest frames.
+        counts: Events per pixel, `int64` [rows, columns].
     """
 
     seconds: float = 0.0
@@ -61,29 +62,28 @@ class Measurement:
     clock: ClockEstimate | None = None
     clock_resets: int = 0
     latest: deque[Frame] = field(default_factory=lambda: deque(maxlen=LATEST_FRAMES))
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
 
     def rate(self, count: int) -> float:
         """Return a count per second of the camera's clock."""
         return count / self.seconds if self.seconds else 0.0
 
 
-Watch = Callable[[CameraBatch], None]
-
-
-def measure(camera: Davis346, seconds: float, watch: Watch | None = None) -> Measurement:
+def measure(camera: Davis346, seconds: float) -> Measurement:
     """Start an open camera, count its data, and stop it.
 
     Args:
         camera: An open camera.
         seconds: Duration, from the first data on [s].
-        watch: Called with each batch that is counted.
 
     Raises:
         UsbError: A request failed or the camera went away.
         StreamError: No data came, or the stream died.
     """
     camera.start()
-    result, arrivals_ns = Measurement(), [0]
+    width, height = camera.identity.geometry.event_size
+    result = Measurement(counts=np.zeros((height, width), np.int64))
+    arrivals_ns = [0]
     began_s, began_us, size_before = 0.0, 0, 0
     for batch in camera.batches():
         if not began_s:
@@ -91,9 +91,9 @@ def measure(camera: Davis346, seconds: float, watch: Watch | None = None) -> Mea
             began_s, began_us = time.monotonic(), batch.time_us
             size_before = camera.transport_counters.size
             continue
-        if watch is not None:
-            watch(batch)
-        result.events += len(batch.decoded.events)
+        events = batch.decoded.events
+        result.events += len(events)
+        np.add.at(result.counts, (events.y, events.x), 1)
         result.frames += len(batch.decoded.frames)
         result.latest.extend(batch.decoded.frames)
         result.samples += len(batch.decoded.imu.t)
@@ -136,8 +136,7 @@ def check_running(
     serial: str = '',
     backend: Any = None,  # noqa: ANN401
     more: Callable[[str, Measurement], Finding] | None = None,
-    capture: CaptureWriter | None = None,
-    watch: Watch | None = None,
+    on_transfer: Callable[[bytes], None] | None = None,
 ) -> Iterator[Finding]:
     """Open a camera, count its data, and yield findings one by one.
 
@@ -147,11 +146,10 @@ def check_running(
         serial: Serial number, or empty for the only camera.
         backend: A pyusb backend to use instead of the one that `device` names.
         more: Makes one more finding of the serial number and the measurement.
-        capture: Takes all control requests and data.
-        watch: Called with each batch that is counted.
+        on_transfer: Called with the data of each transfer.
     """
     p = DriverParameters(device=device, serial=serial)
-    camera = Davis346(p, backend=backend, capture=capture)
+    camera = Davis346(p, backend=backend, on_transfer=on_transfer)
     try:
         camera.open()
     except MixtacError as error:
@@ -159,7 +157,7 @@ def check_running(
         return
     try:
         yield check_identity(camera.identity)
-        measured = measure(camera, seconds, watch)
+        measured = measure(camera, seconds)
         yield from check_measurement(measured, p, camera.identity)
         if more is not None:
             yield more(camera.identity.serial, measured)
@@ -208,6 +206,8 @@ def check_measurement(
         _check_transfers(result),
         _check_losses(result),
         _check_clock(result),
+        _check_noise(result),
+        _check_focus(result),
     ]
 
 
@@ -310,3 +310,47 @@ def _check_clock(result: Measurement) -> Finding:
     if clock.residual_us > MOST_RESIDUAL_US:
         return Finding('camera clock', Level.WARN, found, BUSY, values)
     return Finding('camera clock', Level.OK, found, values=values)
+
+
+HOT_HZ = 10.0
+"""Event rate of a hot pixel in a still scene [1/s]."""
+MOST_NOISE_HZ = 1.0
+"""Largest median event rate of a pixel in a still scene [1/s]."""
+
+
+def _check_noise(result: Measurement) -> Finding:
+    """Check the event rate of the median pixel: noise, as long as most of the scene is still."""
+    rates = result.counts / max(result.seconds, 1e-9)
+    middle = float(np.median(rates)) if rates.size else 0.0
+    hot = int((rates > HOT_HZ).sum())
+    values: dict[str, Value] = {'median [1/s]': round(middle, 3), 'hot pixels': hot}
+    found = f'{middle:.2f} /s per pixel (median), {hot} pixels above {HOT_HZ:g} /s'
+    if middle > MOST_NOISE_HZ:
+        remedy = 'keep the scene still; use a lamp on direct current, or raise the thresholds'
+        return Finding('noise', Level.WARN, found, remedy, values)
+    return Finding('noise', Level.OK, found, values=values)
+
+
+LEAST_SHARPNESS = 0.12
+"""Least ratio of the mean square difference of neighbours to that of pixels four apart."""
+
+
+def _check_focus(result: Measurement) -> Finding:
+    """Compare the detail at one pixel with the detail at four pixels in the latest frames."""
+    shape = result.latest[-1].image.shape if result.latest else ()
+    stack = np.array([f.image for f in result.latest if f.image.shape == shape], np.float64)
+    if len(stack) < LATEST_FRAMES:
+        return ok('focus', 'too few frames to measure')
+    picture = stack.mean(axis=0)
+    noise = 2.0 * float(stack.var(axis=0, ddof=1).mean()) / len(stack)
+    near, far = (
+        float((np.diff(picture[::step, ::step], axis=1) ** 2).mean()) - noise for step in (1, 4)
+    )
+    if far <= noise:
+        return ok('focus', 'no contrast in view')
+    sharpness = max(near, 0.0) / far
+    values: dict[str, Value] = {'sharpness': round(sharpness, 3)}
+    if sharpness < LEAST_SHARPNESS:
+        remedy = 'turn the focus ring until the markers are sharp'
+        return Finding('focus', Level.WARN, f'sharpness {sharpness:.2f}', remedy, values)
+    return Finding('focus', Level.OK, f'sharpness {sharpness:.2f}', values=values)

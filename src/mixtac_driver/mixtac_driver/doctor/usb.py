@@ -72,7 +72,6 @@ class AttachedCamera:
         speed_mbit: Speed that was agreed on [Mb/s], None if unknown.
         release: Device release number (`bcdDevice`): the firmware.
         serial: Serial number, empty if unknown.
-        power: Power management: `on` or `auto`, empty if unknown.
     """
 
     port: str
@@ -80,7 +79,6 @@ class AttachedCamera:
     speed_mbit: float | None
     release: int
     serial: str
-    power: str
 
 
 def cameras_on_bus(files: HostFiles) -> list[AttachedCamera]:
@@ -112,7 +110,6 @@ def _camera(entry: Path) -> AttachedCamera | None:
         speed_mbit=float(speed) if speed.replace('.', '', 1).isdigit() else None,
         release=release,
         serial=text('serial'),
-        power=text('power/control'),
     )
 
 
@@ -162,29 +159,13 @@ def check_release(camera: AttachedCamera) -> Finding:
     return ok('camera firmware', f'{major}.{minor}')
 
 
-def check_power(camera: AttachedCamera) -> Finding:
-    """Report whether the kernel may suspend the camera; it does not while a program uses it."""
-    name = 'USB power management'
-    reported = {'auto': 'may sleep while no program has it open', 'on': 'never sleeps'}
-    found = reported.get(camera.power, 'unknown (not reported by the kernel)')
-    return ok(name, found, **({'control': 'auto'} if camera.power == 'auto' else {}))
-
-
 RULE = '65-mixtac.rules'
 RULES_FOLDERS = ('/etc/udev/rules.d', '/usr/lib/udev/rules.d', '/lib/udev/rules.d')
 
 
 def rule_file() -> Path:
     """Return the udev rule that comes with this package."""
-    beside = Path(__file__).resolve().parents[2] / 'udev' / RULE
-    if beside.exists():
-        return beside
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        return Path(get_package_share_directory('mixtac_driver')) / RULE
-    except (ImportError, LookupError):
-        return beside
+    return Path(__file__).resolve().parents[1] / 'udev' / RULE
 
 
 def installation() -> str:
@@ -260,7 +241,6 @@ def check_attached(files: HostFiles, serial: str = '') -> list[Finding]:
             findings += [
                 check_speed(camera),
                 check_release(camera),
-                check_power(camera),
                 check_permission(files, camera),
                 check_holders(files, camera),
             ]

@@ -16,10 +16,8 @@ from mixtac_driver.node.publishers import (
     ClockPublisher,
     EdgePublisher,
     EventPublisher,
-    FrameCompressor,
     FramePublisher,
     InertialPublisher,
-    PacketListener,
     RectifiedPublisher,
 )
 from mixtac_driver.node.services import DriverServices
@@ -29,7 +27,6 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor
-from mixtac_driver.usb.transport import DebugMessage
 from mixtac_events.arrays import Events
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
@@ -43,13 +40,9 @@ CLOCK_PERIOD_S = 1.0
 
 
 class DriverNode(BaseNode, Node):  # type: ignore[misc]
-    """Publishes the data of a source, on topics that have subscribers.
+    """Publishes the data of a source, on topics that have subscribers."""
 
-    Args:
-        listener: Takes event packets within the process.
-    """
-
-    def __init__(self, listener: PacketListener | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__('driver')
         p = declare(self, DriverParameters, self._apply)
         self._kind = source_kind(p.device)
@@ -63,20 +56,16 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._epoch_us = np.empty(0, np.int64)
         self._identity: Identity | None = None
         self._meters = DriverMeters()
-        self._events = EventPublisher(self, p, topics.EVENTS, self._meters, listener)
+        self._events = EventPublisher(self, p, topics.EVENTS, self._meters)
         self._rectified = RectifiedPublisher(self, p)
         self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
-        compress = bool(p.compressed_frames)
-        self._compressor = FrameCompressor(self, p, self._meters) if compress else None
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
         self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
         replayed = self._kind is SourceKind.RECORDED
         self._time = ClockPublisher(self) if p.playback_clock and replayed else None
         parameters, pixel_filter = self._settings.camera_settings()
-        self._source = make_source(
-            parameters, pixel_filter=pixel_filter, on_debug=self._log_debug_message
-        )
+        self._source = make_source(parameters, pixel_filter=pixel_filter)
         self._open_once()
         self._supervisor = Supervisor(
             self._source,
@@ -109,8 +98,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         """Stop the source."""
         if not self._supervisor.stop():
             self.get_logger().error('the camera did not stop in time; leaving it')
-        if self._compressor is not None:
-            self._compressor.close()
 
     def _apply(self, parameters: DriverParameters) -> None:
         self._settings.apply(parameters, self._source.apply)
@@ -148,7 +135,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         decoded, origin_us, identity = batch.decoded, batch.origin.us, self._identity
         if identity is None:
             return
-        self._driver_services.watch_batch(batch)
         self._publish_events(batch, identity)
         if self._time is not None:
             self._time.publish(batch.time_us)
@@ -192,9 +178,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
         self._frames.publish(frame, origin_us, identity)
-        if self._compressor is not None:
-            self._compressor.publish(frame, origin_us, identity)
-        self._rectified.publish_frame(frame, origin_us, identity)
         self._driver_services.watch_frame(frame, origin_us)
         if self._source.control is not None:
             self._settings.follow(frame, exposure_us, self._source.control)
@@ -213,13 +196,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         host_ns = time.time_ns()
         camera_us = clock.to_camera_us(host_ns) + origin_us
         self._clock_publisher.publish(messages.camera_clock(host_ns, camera_us, serial))
-
-    def _log_debug_message(self, message: DebugMessage) -> None:
-        line = f'camera firmware at {message.time}: {message.text} (code {message.code})'
-        if message.code:
-            self.get_logger().warning(line)
-        else:
-            self.get_logger().info(line)
 
 
 main = partial(run, DriverNode)

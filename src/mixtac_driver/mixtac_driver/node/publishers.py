@@ -4,44 +4,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import queue
-import threading
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage
+from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
-from mixtac_driver.calibration.lens import CalibrationError
-from mixtac_driver.calibration.undistortion import CalibratedCamera
+from mixtac_driver.camera_info import CalibratedCamera, CalibrationError
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.status import DriverMeters
 from mixtac_driver.parameters import DeviceParameters, DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
-from mixtac_events.packets import DecodedPacket, OwnPacket, PacketWriter
+from mixtac_events.packets import PacketWriter
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
-from mixtac_node.images import compress, fill, set_octets
-from mixtac_node.process import lower_priority
 from mixtac_node.stamps import us_to_stamp
 from mixtac_node.topics import Topic
 from mixtac_recordings import messages
-
-
-class PacketListener(Protocol):
-    """Takes packets within the process."""
-
-    def __len__(self) -> int:
-        """Return the number of those who listen."""
-
-    def hand_over(self, packet: OwnPacket) -> None:
-        """Pass a packet to all of them."""
 
 
 class EventPublisher:
@@ -54,7 +38,6 @@ class EventPublisher:
         p: Encoding, size and frame of the packets.
         topic: The topic.
         meters: Counts the packets, or None.
-        listener: Takes the packets within the process, before they are published.
     """
 
     def __init__(
@@ -63,9 +46,8 @@ class EventPublisher:
         p: DeviceParameters,
         topic: Topic,
         meters: DriverMeters | None = None,
-        listener: PacketListener | None = None,
     ) -> None:
-        self._p, self._meters, self._listener = p, meters, listener
+        self._p, self._meters = p, meters
         self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
@@ -73,8 +55,8 @@ class EventPublisher:
 
     @property
     def wanted(self) -> bool:
-        """True while the topic has subscribers, or somebody listens within the process."""
-        return bool(self._publisher.get_subscription_count() or self._listener)
+        """True while the topic has subscribers."""
+        return bool(self._publisher.get_subscription_count())
 
     def restart(self) -> None:
         """Discard unpublished events: another stream starts."""
@@ -95,11 +77,6 @@ class EventPublisher:
             self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
             self._writer = PacketWriter(self._p.camera_frame_id, self._p.encoding, size)
         for packet in self._packetizer.push(events, time_us, arrival_ns):
-            if self._listener:
-                content = DecodedPacket(packet.events.copy(), packet.complete_until_us)
-                self._listener.hand_over(
-                    OwnPacket(packet.arrival_ns, self._sequence, *size, content)
-                )
             if self._publisher.get_subscription_count():
                 message = self._writer.write(packet.encode(), self._sequence, packet.arrival_ns)
                 self._publisher.publish(message)
@@ -153,63 +130,6 @@ class FramePublisher:
             self._info.publish(self._complete(messages.camera_info(frame, size, image)))
         if exposure_wanted:
             self._exposure.publish(messages.frame_exposure(frame, origin_us, image))
-
-
-WAITING_FRAMES = 2
-"""Frames that wait to be compressed; more are dropped."""
-NICENESS = 5
-"""Niceness of the thread that compresses."""
-LONGEST_CLOSE_S = 1.0
-"""Longest wait for a place in the queue, and then for the end of that thread [s]."""
-
-
-class FrameCompressor:
-    """Publishes frames on `image_raw/compressed`, compressed in a thread of its own.
-
-    Args:
-        node: An rclpy node.
-        p: Compression and frame of the images.
-        meters: Counts the frames that were dropped.
-    """
-
-    def __init__(self, node: Any, p: DeviceParameters, meters: DriverMeters) -> None:  # noqa: ANN401
-        self._kind, self._frame_id, self._meters = p.compressed_frames, p.camera_frame_id, meters
-        self._publisher = node.publish_topic(topics.IMAGE_COMPRESSED)
-        self._complain = node.get_logger().error
-        self._waiting: queue.Queue[tuple[Any, Any, str] | None] = queue.Queue(WAITING_FRAMES)
-        self._thread = threading.Thread(target=self._run, name='compression', daemon=True)
-        self._thread.start()
-
-    def publish(self, frame: Frame, origin_us: int, identity: Identity) -> None:
-        """Take a frame, if there are subscribers; arguments as in `FramePublisher.publish`."""
-        if not self._publisher.get_subscription_count():
-            return
-        encoding = messages.image_encoding(identity.features.color_filter, frame.x, frame.y)
-        header = messages.image_header(frame, origin_us, self._frame_id).header
-        try:
-            self._waiting.put_nowait((header, messages.left_aligned(frame.image), encoding))
-        except queue.Full:
-            self._meters.compressed_dropped += 1
-
-    def close(self) -> None:
-        """End the thread, unless it is stuck."""
-        with contextlib.suppress(queue.Full):
-            self._waiting.put(None, timeout=LONGEST_CLOSE_S)
-            self._thread.join(LONGEST_CLOSE_S)
-
-    def _run(self) -> None:
-        lower_priority(NICENESS)
-        while (job := self._waiting.get()) is not None:
-            try:
-                self._compress(*job)
-            except Exception as error:  # noqa: BLE001 - the thread serves the next frame
-                self._complain(f'frame not compressed: {error!r}', throttle_duration_sec=5.0)
-
-    def _compress(self, header: Any, pixels: Any, encoding: str) -> None:  # noqa: ANN401
-        data, name = compress(pixels, encoding, self._kind)
-        message = CompressedImage(header=header, format=name)
-        set_octets(message, 'data', data)
-        self._publisher.publish(message)
 
 
 TEMPERATURE_PERIOD_US = 100_000
@@ -319,10 +239,10 @@ class ClockPublisher:
 
 
 class RectifiedPublisher:
-    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and on undistorted topics.
+    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and on `events_rect`.
 
-    `image_rect` and `events_rect` exist if parameters enable them. They share the `camera_info` of
-    the raw topics, whose P is that of the undistorted pixels (REP 104).
+    `events_rect` exists if a parameter enables it. Its pixels are the pixels of P in `camera_info`,
+    like the pixels of frames that image_proc rectifies (REP 104).
 
     Args:
         node: An rclpy node.
@@ -334,7 +254,6 @@ class RectifiedPublisher:
         self._p = p
         self._camera: CalibratedCamera | None = None
         self._events = EventPublisher(node, p, topics.EVENTS_RECT) if p.undistort_events else None
-        self._image = node.publish_topic(topics.IMAGE_RECT) if p.undistort_frames else None
         node.create_service(SetCameraInfo, '~/set_camera_info', self._save)
 
     def use(self, size: tuple[int, int]) -> None:
@@ -371,24 +290,10 @@ class RectifiedPublisher:
         self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]
     ) -> None:
         """Publish events at their undistorted pixels; arguments as in `EventPublisher.publish`."""
-        if self._events is not None and self._camera is not None:
-            moved = self._camera.events(events)
+        undistortion = None if self._camera is None else self._camera.undistortion
+        if self._events is not None and undistortion is not None:
+            moved = undistortion.undistort(events)
             self._events.publish(moved, time_us, arrival_ns, size)
-
-    def publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
-        """Publish a frame without distortion, in the size of the whole array."""
-        if self._image is None or self._camera is None:
-            return
-        if not self._image.get_subscription_count():
-            return
-        color_filter, frame_id = identity.features.color_filter, self._p.camera_frame_id
-        encoding = messages.image_encoding(color_filter, frame.x, frame.y)
-        pixels, encoding = self._camera.image(
-            messages.left_aligned(frame.image), encoding, frame.x, frame.y
-        )
-        message = messages.image_header(frame, origin_us, frame_id)
-        fill(message, pixels, encoding)
-        self._image.publish(message)
 
     def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
         try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the driver: snapshot, clock reset, hot pixels, parameter file, self-test.
+"""Services of the driver: snapshot, clock reset, hot pixels.
 
 They run in the executor's thread and wait there, for a bounded time, for the decoding thread.
 """
@@ -13,13 +13,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from diagnostic_msgs.srv import SelfTest
 from std_srvs.srv import Trigger
 
-from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.control import CameraControl
-from mixtac_driver.doctor.stretch import Check, Outcome, Stretch, passive_checks
 from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
@@ -28,15 +24,12 @@ from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import Frame
 from mixtac_node.base_node import answering
-from mixtac_node.diagnostics import ERROR, OK
-from mixtac_node.files import state_file, write_text
-from mixtac_node.parameters import parameter_file
+from mixtac_node.files import state_file
 
 MARGIN_S = 1.0
 """Additional time allowed for a frame or a count."""
 REPORT_PERIOD_S = 1.0
 LISTED_PIXELS = 20
-SELF_TEST_S = 5.0
 
 
 class NextFrame:
@@ -63,9 +56,7 @@ class NextFrame:
 
 
 class DriverServices:
-    """Offers `~/snapshot`, `~/reset_timestamps`, `~/find_hot_pixels` and `~/save_parameters`.
-
-    They are of std_srvs/Trigger; `~/self_test` is of diagnostic_msgs/SelfTest.
+    """Offers `~/snapshot`, `~/reset_timestamps` and `~/find_hot_pixels` (std_srvs/Trigger).
 
     Args:
         node: An rclpy node.
@@ -84,24 +75,11 @@ class DriverServices:
         self._source, self._settings, self._meanwhile = source, settings, meanwhile
         self._counter: PixelCounter | None = None
         self._next_frame: NextFrame | None = None
-        self._stretch: Stretch | None = None
-        self._stretch_done = threading.Event()
         self._time_us = 0
         offer = partial(node.create_service, Trigger)
         offer('~/snapshot', answering(lambda _: self.snapshot()))
         offer('~/reset_timestamps', answering(lambda _: self.reset_timestamps()))
         offer('~/find_hot_pixels', answering(lambda _: self.find_hot_pixels()))
-        offer('~/save_parameters', answering(lambda _: self.save_parameters()))
-        node.create_service(SelfTest, '~/self_test', self.self_test)
-
-    def watch_batch(self, batch: CameraBatch) -> None:
-        """Take a batch into account, in the decoding thread."""
-        stretch = self._stretch
-        if stretch is not None:
-            stretch.add(batch)
-            if stretch.seconds >= SELF_TEST_S:
-                self._stretch = None
-                self._stretch_done.set()
 
     def watch_events(self, events: Events, time_us: int) -> None:
         """Take events into account, in the decoding thread.
@@ -188,37 +166,6 @@ class DriverServices:
             f'masked, {len(mask.in_camera)} of them by the camera'
         )
 
-    def save_parameters(self) -> str:
-        """Write the running settings, with the exposure that automatic exposure has reached.
-
-        Raises:
-            FileError: The file is not in the state folder, or cannot be written.
-        """
-        running, _ = self._settings.camera_settings()
-        path = state_file(running.saved_parameters)
-        write_text(path, parameter_file('driver', running))
-        return f'written to {path}'
-
-    def self_test(self, _request: Any, response: Any) -> Any:  # noqa: ANN401
-        """Look at the stream and answer with what the checks found; it is not disturbed."""
-        identity = self._source.status().identity
-        response.id = identity.serial if identity is not None else ''
-        self._stretch_done.clear()
-        self._stretch = stretch = Stretch(identity.geometry.event_size) if identity else Stretch()
-        try:
-            self._wait(self._stretch_done, SELF_TEST_S, 'end of the self-test')
-        except StreamError as error:
-            response.passed = FAILED
-            response.status = [DiagnosticStatus(level=level(ERROR), message=str(error))]
-            return response
-        finally:
-            self._stretch = None
-        checks = passive_checks(stretch)
-        good = all(check.outcome is not Outcome.FAIL for check in checks)
-        response.passed = PASSED if good else FAILED
-        response.status = [diagnostic(check, response.id) for check in checks]
-        return response
-
     def _control(self, otherwise: str) -> CameraControl:
         control = self._source.control
         if control is None:
@@ -252,27 +199,3 @@ class DriverServices:
                     remedy='see /diagnostics for the state of the camera',
                 )
             self._meanwhile()
-
-
-PASSED, FAILED = b'\1', b'\0'
-
-
-def level(number: int) -> bytes:
-    """Return a level of `diagnostic_msgs/DiagnosticStatus` as its field takes it."""
-    return bytes((number,))
-
-
-def diagnostic(check: Check, hardware_id: str) -> Any:  # noqa: ANN401
-    """Return the result of a check as a `diagnostic_msgs/DiagnosticStatus`."""
-    values = {
-        'outcome': check.outcome.value,
-        'figure': '' if check.figure is None else f'{check.figure:g}',
-        'limit': check.limit,
-    }
-    return DiagnosticStatus(
-        level=level(ERROR if check.outcome is Outcome.FAIL else OK),
-        name=check.name,
-        message=check.found,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
-    )

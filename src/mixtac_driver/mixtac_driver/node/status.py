@@ -85,7 +85,6 @@ class DriverMeters:
         samples: Inertial samples decoded.
         edges: Edges of the external input and the generator decoded.
         edges_dropped: Edges dropped because there were too many.
-        compressed_dropped: Frames not compressed because two were waiting.
         ages_s: Time from arrival to publication of packets [s].
         clock: Latest figures of the clock map, and the origin of the camera's clock to which they
             belong [us since the Unix epoch]; None before.
@@ -96,7 +95,7 @@ class DriverMeters:
     def __init__(self) -> None:
         self.events, self.packets = RateMeter(), RateMeter()
         self.frames, self.samples, self.edges = RateMeter(), RateMeter(), RateMeter()
-        self.edges_dropped = self.compressed_dropped = 0
+        self.edges_dropped = 0
         self.ages_s = RecentValues()
         self.clock: tuple[ClockEstimate, int] | None = None
         self.temperature = math.nan
@@ -112,7 +111,6 @@ class DriverMeters:
             'imu samples per second': self.samples.read(now_s),
             'external edges': self.edges.total,
             'external edges dropped': self.edges_dropped,
-            'compressed frames dropped': self.compressed_dropped,
             'packet age median [s]': self.ages_s.quantile(0.5),
             'packet age p99 [s]': self.ages_s.quantile(0.99),
         }

@@ -1,20 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Synchronous readers of the data and debug endpoints, and the bounded queue of transfers.
+"""Synchronous reader of the data endpoint, and the bounded queue of transfers.
 
 `BulkReader` reads one transfer after the other and serves the pyusb backends that have no
 asynchronous transfers; a camera on USB is read by `mixtac_driver.usb.libusb.AsynchronousReader`.
 When the consumer is too slow, `TransferQueue` drops and counts the newest transfers and keeps the
 camera time that passed in them as a `Gap`.
-
-The USB controller of the camera sends messages on its debug endpoint:
-
-| byte | meaning |
-|---|---|
-| 0 | 0: a message |
-| 1 | code, 0 for no fault |
-| 2 .. 5 | time, u32, little-endian, in units of the controller |
-| 6 .. | text, ASCII, up to 58 bytes |
 """
 
 from __future__ import annotations
@@ -280,73 +271,3 @@ MESSAGE_SIZE = 64
 HEADER_SIZE = 6
 DEBUG_READ_TIMEOUT_MS = 100
 DEBUG_STOP_TIMEOUT_S = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class DebugMessage:
-    """One message.
-
-    Attributes:
-        code: 0 for no fault.
-        time: Time of the message on the controller's clock, in its own units.
-        text: Its text.
-    """
-
-    code: int
-    time: int
-    text: str
-
-
-def decode_message(data: bytes) -> DebugMessage | None:
-    """Return the message that a transfer of the debug endpoint holds, or None if none."""
-    if not HEADER_SIZE < len(data) <= MESSAGE_SIZE or data[0] != 0:
-        return None
-    text = data[HEADER_SIZE:].split(b'\0')[0].decode('ascii', 'replace')
-    return DebugMessage(data[1], int.from_bytes(data[2:6], 'little'), text)
-
-
-class DebugReader:
-    """Reads the debug endpoint in a thread of its own, until stopped or until that fails.
-
-    Harmless if there is no such endpoint or the camera goes away: the reader of the data endpoint
-    reports that.
-
-    Args:
-        read: Reads into a buffer within a time [ms] and returns the number of bytes; raises as
-            pyusb does.
-        on_message: Called in the thread with each message.
-    """
-
-    def __init__(
-        self,
-        read: Callable[[array[int], int], int],
-        on_message: Callable[[DebugMessage], None],
-    ) -> None:
-        self._read = read
-        self._on_message = on_message
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='davis-debug', daemon=True)
-
-    def start(self) -> None:
-        """Start reading."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop reading; returns when the thread has ended."""
-        self._stopping.set()
-        if self._thread.ident is not None:
-            self._thread.join(DEBUG_STOP_TIMEOUT_S)
-
-    def _run(self) -> None:
-        buffer = array('B', bytes(MESSAGE_SIZE))
-        while not self._stopping.is_set():
-            try:
-                count = self._read(buffer, DEBUG_READ_TIMEOUT_MS)
-            except USBTimeoutError:
-                continue
-            except (USBError, OSError, ValueError, NotImplementedError):
-                # pyusb: a ValueError is an endpoint that the descriptors do not name.
-                return
-            message = decode_message(buffer[:count].tobytes())
-            if message is not None:
-                self._on_message(message)

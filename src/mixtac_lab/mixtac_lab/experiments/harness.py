@@ -1,23 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What an experiment gets and returns, how it becomes a command, and how commands run it.
+"""What an experiment receives and returns, how it becomes a command, and how commands run it.
 
 An experiment is a function that takes a `Context` and returns an `Outcome`: rows that set our
-values beside those of the paper, figures, and a list of differences from the paper. To add one,
-decorate the function with `experiment` and name it in two entry points of a package: in the group
-`mixtac.experiments` as `NAME`, and in the group `mixtac.commands` as `experiments.NAME`.
+values beside the values of the paper, figures, and a list of differences from the paper. To add
+one, decorate the function with `experiment`, and name it in `EXPERIMENTS` and in the table of
+commands (`mixtac_cli.main`).
 """
 
 from __future__ import annotations
 
 import datetime as dt
-import math
+import importlib
 import os
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, List, Optional  # noqa: UP035
 
@@ -37,8 +36,6 @@ from mixtac_learning.judge.metrics import Metrics, measure, peak_error
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import simulator_digest
 
-GROUP = 'mixtac.experiments'
-"""Entry points of all experiments."""
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 
@@ -164,71 +161,73 @@ class Context:
         return self.store.run(pieces, self.jobs, lambda: self.progress.advance(bar))
 
 
-def experiment(
-    *, order: float = math.inf
-) -> Callable[[Callable[[Context], Outcome]], Callable[..., None]]:
-    """Return a decorator that makes a function `Context -> Outcome` a command with options.
+def experiment(function: Callable[[Context], Outcome]) -> Callable[..., None]:
+    """Make a function `Context -> Outcome` a command with options.
 
     The name of the function is the name of the experiment, its docstring the help of the command.
-
-    Args:
-        order: Position in `mixtac experiments all` and in its report.
     """
+    command = make_command(function.__name__, function.__doc__)
+    command.run = function  # type: ignore[attr-defined]
+    return command
 
-    def decorate(function: Callable[[Context], Outcome]) -> Callable[..., None]:
-        def command(
-            more: Annotated[OptionalStrings, typer.Argument(help='More experiments.')] = None,
-            quick: Annotated[
-                bool, typer.Option('--quick', help='Takes minutes; the results mean nothing.')
-            ] = False,
-            json: JsonFile = None,
-            out: Annotated[
-                OptionalPath,
-                typer.Option(help='Output folder; an interrupted run continues there.'),
-            ] = None,
-            bags: Annotated[
-                OptionalPath,
-                typer.Option(
-                    exists=True,
-                    file_okay=False,
-                    help='Folder of your recordings; see docs/experiments.md.',
-                ),
-            ] = None,
-            seeds: Annotated[
-                int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
-            ] = 0,
-            jobs: Annotated[
-                int, typer.Option(min=0, help='Number of processes; 0: one per core.')
-            ] = 0,
-        ) -> None:
-            names = select([function.__name__, *(more or [])])
-            run_experiments(
-                Console(markup=False),
-                names,
-                quick=quick,
-                json=json,
-                out=out,
-                bags=bags,
-                seeds=seeds,
-                jobs=jobs,
-            )
 
-        command.__doc__ = function.__doc__
-        command.__name__ = function.__name__
-        command.run = function  # type: ignore[attr-defined]
-        command.order = order  # type: ignore[attr-defined]
-        return command
+def make_command(name: str, text: str | None) -> Callable[..., None]:
+    """Return the command that runs an experiment, or all for the name `all`."""
 
-    return decorate
+    def command(
+        more: Annotated[OptionalStrings, typer.Argument(help='More experiments.')] = None,
+        quick: Annotated[
+            bool, typer.Option('--quick', help='Takes minutes; the results mean nothing.')
+        ] = False,
+        json: JsonFile = None,
+        out: Annotated[
+            OptionalPath,
+            typer.Option(help='Output folder; an interrupted run continues there.'),
+        ] = None,
+        bags: Annotated[
+            OptionalPath,
+            typer.Option(
+                exists=True,
+                file_okay=False,
+                help='Folder of your recordings; see docs/experiments.md.',
+            ),
+        ] = None,
+        seeds: Annotated[
+            int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
+        ] = 0,
+        jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 0,
+    ) -> None:
+        run_experiments(
+            Console(markup=False),
+            select([name, *(more or [])]),
+            quick=quick,
+            json=json,
+            out=out,
+            bags=bags,
+            seeds=seeds,
+            jobs=jobs,
+        )
+
+    command.__name__, command.__doc__ = name, text
+    return command
 
 
 ALL = 'all'
+PLACE = 'mixtac_lab.experiments'
+EXPERIMENTS = {
+    'vibration': 'paper.vibration',
+    'stability': 'paper.forces',
+    'inputs': 'paper.forces',
+    'fusion': 'paper.forces',
+    'impact': 'paper.forces',
+    'slip': 'paper.slip',
+    'model': 'paper.model',
+    'comparison': 'paper.comparison',
+}
+"""Module of each experiment of the paper, in the order of `mixtac experiments all`."""
 
 
-@experiment()
-def all(context: Context) -> Outcome:  # noqa: A001, ARG001  (name of the command)
-    """Run all experiments of the paper, and those of installed packages."""
-    raise ExperimentError(f'{ALL!r} stands for all experiments')
+all_experiments = make_command(ALL, 'Run all experiments of the paper.')
 
 
 def select(names: Sequence[str]) -> dict[str, Any]:
@@ -240,15 +239,17 @@ def select(names: Sequence[str]) -> dict[str, Any]:
     Raises:
         ExperimentError: There is no such experiment.
     """
-    points = {point.name: point for point in entry_points(group=GROUP)}
-    unknown = sorted(set(names) - {*points, ALL})
+    unknown = sorted(set(names) - {*EXPERIMENTS, ALL})
     if unknown:
         raise ExperimentError(
             f'unknown experiment {unknown[0]!r}',
-            remedy=f'choose from {", ".join(sorted(points))}, or {ALL}',
+            remedy=f'choose from {", ".join(sorted(EXPERIMENTS))}, or {ALL}',
         )
-    chosen = {name: points[name].load() for name in (points if ALL in names else names)}
-    return dict(sorted(chosen.items(), key=lambda item: item[1].order))
+    chosen = [name for name in EXPERIMENTS if ALL in names or name in names]
+    return {
+        name: getattr(importlib.import_module(f'{PLACE}.{EXPERIMENTS[name]}'), name)
+        for name in chosen
+    }
 
 
 def run_experiments(
@@ -295,7 +296,7 @@ def run_experiments(
     run = _describe(list(commands), context, time.monotonic() - started)
     report.write(folder, outcomes, run, json)
     report.show(console, outcomes)
-    console.print(f'report: {folder / "report.html"}')
+    console.print(f'report: {folder / "report.md"}')
     return outcomes
 
 

@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Outcomes of experiments, their reports as JSON, Markdown and HTML (`report.html`), and curves."""
+"""Outcomes of experiments, their reports as JSON and Markdown, and curves."""
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jinja2
 import numpy as np
 from rich.console import Console
 
@@ -150,7 +148,7 @@ HEADINGS = ('what', 'ours', 'paper', 'unit')
 def write(
     folder: Path, outcomes: Sequence[Outcome], run: Mapping[str, Any], json: Path | None = None
 ) -> None:
-    """Write `report.html`, `report.md` and `report.json`.
+    """Write `report.md` and `report.json`.
 
     Args:
         folder: Folder of the report.
@@ -166,14 +164,6 @@ def write(
     for path in (folder / 'report.json', json):
         write_json(path, content)
     write_text(folder / 'report.md', '\n'.join(map(_markdown, outcomes)))
-    loader = jinja2.PackageLoader('mixtac_lab.experiments', '')
-    page = jinja2.Environment(loader=loader, autoescape=True).get_template('report.html')
-    text = page.render(outcomes=outcomes, run=run, headings=HEADINGS, base64=_base64)
-    write_text(folder / 'report.html', text)
-
-
-def _base64(path: Path) -> str:
-    return base64.b64encode(path.read_bytes()).decode()
 
 
 def show(console: Console, outcomes: Sequence[Outcome]) -> None:

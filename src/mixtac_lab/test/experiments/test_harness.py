@@ -4,13 +4,9 @@
 
 from __future__ import annotations
 
-import json
-from importlib.metadata import entry_points
-
 import numpy as np
 import pytest
 
-from mixtac_cli.main import main
 from mixtac_lab.experiments.harness import (
     ExperimentError,
     constant_row,
@@ -68,43 +64,3 @@ def test_experiments_are_selected_once_and_in_the_order_of_the_paper():
         select(['smell'])
     assert "'smell'" in str(refused.value)
     assert all(name in refused.value.remedy for name in NAMES)
-
-
-def test_every_experiment_is_a_command():
-    commands = {point.name: point.value for point in entry_points(group='mixtac.commands')}
-    for point in entry_points(group='mixtac.experiments'):
-        assert commands[f'experiments.{point.name}'] == point.value
-
-
-WEIGH = """
-from mixtac_lab.experiments.harness import experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value
-
-
-@experiment()
-def weigh(context):
-    \"\"\"Weight of the sensor.\"\"\"
-    weight = Value.of([40.0] * context.seeds)
-    return Outcome('weigh', 'Weight', 'p', 'd', [Row('weight', weight, None, '', 'g', 'c')])
-"""
-
-
-def test_another_package_adds_an_experiment_by_its_module_and_two_entry_points(
-    tmp_path, monkeypatch, capsys
-):
-    (tmp_path / 'scales.py').write_text(WEIGH)
-    about = tmp_path / 'scales-1.0.dist-info'
-    about.mkdir()
-    (about / 'METADATA').write_text('Metadata-Version: 2.1\nName: scales\nVersion: 1.0\n')
-    (about / 'entry_points.txt').write_text(
-        '[mixtac.experiments]\nweigh = scales:weigh\n'
-        '[mixtac.commands]\nexperiments.weigh = scales:weigh\n'
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    path = tmp_path / 'weigh.json'
-    out = ['--out', str(tmp_path / 'run'), '--json', str(path)]
-    assert main(['experiments', 'weigh', '--quick', '--seeds', '2', *out]) == 0
-    (row,) = json.loads(path.read_text(encoding='utf-8'))['rows']
-    assert (row['experiment'], row['ours']['mean'], row['ours']['count']) == ('weigh', 40.0, 2)
-    assert 'Weight' in capsys.readouterr().out
-    assert list(select(['all']))[-1] == 'weigh'

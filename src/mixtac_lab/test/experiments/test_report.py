@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import statistics
 
 import pytest
@@ -52,16 +51,11 @@ def outcomes(tmp_path):
     ]
 
 
-def test_report_holds_figures_numbers_and_deviations_and_loads_nothing(outcomes, tmp_path):
+def test_report_holds_numbers_and_what_was_skipped(outcomes, tmp_path):
     write(tmp_path, outcomes, {'seeds': 3})
-    text = (tmp_path / 'report.html').read_text(encoding='utf-8')
-    assert 'x &lt; y: MAE' in text
+    text = (tmp_path / 'report.md').read_text(encoding='utf-8')
     assert '0.05 ± 0.01 (3 seeds)' in text
-    assert 'smaller' in text
     assert 'not from bags' in text
-    sources = re.findall(r'(?:src|href)="([^"]*)"', text)
-    assert all(each.startswith(('data:image/png;base64,', '#')) for each in sources)
-    assert text.count('<span class="simulated">simulated</span>') == 2  # the legend, one row
 
 
 def test_rows_of_all_experiments_are_in_one_list(outcomes, tmp_path):

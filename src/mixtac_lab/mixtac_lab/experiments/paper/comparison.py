@@ -22,7 +22,7 @@ MIXTAC = (500.0, 0.04, 1.0)
 _PLACE = 'section V-B, table III'
 
 
-@experiment(order=8)
+@experiment
 def comparison(context: Context) -> Outcome:
     """Rate, error and range beside other sensors."""
     sets = trial_sets(context.sizes, context.bags)

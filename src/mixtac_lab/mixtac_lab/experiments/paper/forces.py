@@ -38,7 +38,7 @@ STABILITY_CONDITIONS = (
 Bins = list['NDArray[np.float64]']
 
 
-@experiment(order=2)
+@experiment
 def stability(context: Context) -> Outcome:
     """Long holds: whether the error grows within 25 s."""
     return force_outcome(
@@ -134,7 +134,7 @@ SHOWN_S = 5.0
 """Length of the part shown in the figure [s]."""
 
 
-@experiment(order=3)
+@experiment
 def inputs(context: Context) -> Outcome:
     """Frames, events, or both, on dynamic forces."""
     return force_outcome(
@@ -190,7 +190,7 @@ FUSION_PAPER = {
 FUSION_PLACE = 'section IV-D, Fig. 6'
 
 
-@experiment(order=4)
+@experiment
 def fusion(context: Context) -> Outcome:
     """FGER-Net against feature-level fusion, on static forces."""
     return force_outcome(
@@ -240,7 +240,7 @@ CLOSE_S = (-0.02, 0.3)
 WHOLE_S = (-0.3, 1.5)
 
 
-@experiment(order=5)
+@experiment
 def impact(context: Context) -> Outcome:
     """20 g from 5 cm: impact, bounces and hold."""
     return force_outcome(

@@ -11,10 +11,10 @@ from typing import Any
 import torch
 
 from mixtac_fger.weights import DEFAULT_MODEL
-from mixtac_lab.bench.infer import measure
 from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import FGER, PRESET
+from mixtac_lab.experiments.speed import measure
 from mixtac_lab.experiments.training import MODELS
 from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.config import PaperConfig
@@ -27,7 +27,7 @@ _PLACE = 'section III-B'
 REPETITIONS = 10
 
 
-@experiment(order=7)
+@experiment
 def model(context: Context) -> Outcome:
     """Parameters, operations and latency of the networks."""
     bar = context.progress.add_task('size and latency', total=2)

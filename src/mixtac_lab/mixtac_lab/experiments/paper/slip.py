@@ -11,18 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
-from mixtac_cli.figures import make_table, new_axes, save_figure
-from mixtac_cli.options import JsonFile, OptionalPath, Preset
+from mixtac_cli.figures import new_axes, save_figure
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import PAPER, Outcome, Row, Value, mark, texts
@@ -33,13 +29,9 @@ from mixtac_lab.slip.trials import (
     COURSE_MS,
     KNOCK_S,
     TrialPlan,
-    run_trial,
-    summary,
     trial_piece,
 )
-from mixtac_lab.store import Store
 from mixtac_learning.train.config import OURS
-from mixtac_node.files import write_json
 from mixtac_sim.grasp.objects import ObjectName
 from mixtac_sim.grids import HEIGHT, WIDTH
 
@@ -57,69 +49,7 @@ _COLOUR = MODELS[OURS].colour
 Results = dict[str, list[dict[str, Any]]]
 
 
-def grasps(
-    figures: Annotated[OptionalPath, typer.Option(help='Folder for the figures.')] = None,
-    share: Annotated[float, typer.Option(help="Number of trials as a share of the paper's.")] = 1.0,
-    margin: Annotated[
-        float, typer.Option(help='Ratio of the grasp force to the smallest force that holds.')
-    ] = MARGIN,
-    preset: Preset = PRESET,
-    keep: Annotated[
-        OptionalPath,
-        typer.Option(help='Folder for finished trials; an interrupted run continues there.'),
-    ] = None,
-    report: JsonFile = None,
-) -> None:
-    """Hold cup, box and ball against the paper's knock, simulated, beside the paper's values."""
-    console, store = Console(markup=False), Store(keep)
-    outcome: dict[str, Any] = {'simulated': True, 'margin': margin, 'preset': preset}
-    courses: dict[str, list[NDArray[np.float64]]] = {}
-    for at, (name, number) in enumerate(PAPER_TRIALS.items()):
-        plans = [
-            TrialPlan(name, GRASPS_FIRST_SEED + 1000 * at + k, margin=margin, preset=preset)
-            for k in range(max(round(share * number), 1))
-        ]
-        results = store.run_shown(name, [trial_piece(plan) for plan in plans], console)
-        courses[name] = [np.array(result.pop('course_mm')) for result in results]
-        if figures is not None:
-            order = sorted(range(len(results)), key=lambda k: results[k]['slip_mm'])
-            typical = plans[order[len(order) // 2]]
-            draw_trial(figures / f'slip_{name}.png', *run_trial(typical))
-        outcome[name] = {
-            **summary(results),
-            'paper_mean_mm': PAPER_MM[name],
-            'each': results,
-        }
-    if figures is not None:
-        draw_objects(figures / 'slip_objects.png', courses)
-    console.print(_table({name: outcome[name] for name in PAPER_TRIALS}))
-    write_json(report, outcome)
-
-
-def _table(rows: Mapping[str, dict[str, Any]]) -> Table:
-    headings = ('object', 'trials', 'held', 'without control', 'mean mm', 'median mm', 'paper mean')
-    return make_table(
-        'Displacement, simulated; the paper measured 0.32 mm in 13 ms with one box',
-        (*headings, 'lower bound mm', 'arrest ms', 'lower bound ms'),
-        [
-            (
-                name,
-                row['trials'],
-                f'{row["held_fraction"]:.0%}',
-                f'{row["open_loop_held_fraction"]:.0%}',
-                row['slip_mm']['mean'],
-                row['slip_mm']['median'],
-                row['paper_mean_mm'],
-                row['floor_slip_mm']['median'],
-                row['arrest_ms']['median'],
-                row['floor_arrest_ms']['median'],
-            )
-            for name, row in rows.items()
-        ],
-    )
-
-
-@experiment(order=6)
+@experiment
 def slip(context: Context) -> Outcome:
     """Objects that are knocked, in closed loop."""
     fields = texts('slip')

@@ -20,16 +20,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 
-from mixtac_cli.figures import make_table, new_axes, save_figure
-from mixtac_cli.options import JsonFile, Preset
+from mixtac_cli.figures import new_axes, save_figure
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, mark, texts
@@ -37,7 +33,6 @@ from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
 from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import BagRecording
 from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
@@ -268,7 +263,7 @@ Found = tuple[float, dict[str, Any]]
 """Tone [Hz] and its spectra."""
 
 
-@experiment(order=1)
+@experiment
 def vibration(context: Context) -> Outcome:
     """Tones of 50 to 450 Hz: which frequency the events show."""
     return _simulated(context) if context.bags is None else _recorded(context, context.bags)
@@ -424,99 +419,3 @@ AMPLITUDES = (0.02, 0.05, 0.1)
 """Amplitudes of the study, zero to peak [mm]."""
 TONE_BIN_US = 1000
 TONE_SIGNALS = {COUNT: 'count', POLARITY: 'ON - OFF', FLOW: 'flow'}
-
-
-def find_line(signal: NDArray[np.float64], frequency_hz: float, bin_us: int) -> dict[str, Any]:
-    """Return the prominence of a frequency in the spectrum of a signal.
-
-    Args:
-        signal: One value per bin; its length should be a whole number of periods.
-        frequency_hz: Frequency to look for [Hz].
-        bin_us: Length of a bin [us].
-
-    Returns:
-        `drive`, the ratio of the amplitude at the tone to the median of all frequencies; `twice`,
-        the same at twice the tone, or at its alias; `peak_hz`, the frequency of the largest
-        amplitude, from 30 Hz on [Hz]; `clear`, whether that is the tone, twice the tone, or its
-        alias.
-    """
-    spectrum = np.abs(np.fft.rfft(signal - signal.mean()))
-    per_hz = 1e-6 * bin_us * len(signal)
-    aliases = [round(times * frequency_hz * per_hz) % len(signal) for times in (1, 2)]
-    places = [min(alias, len(signal) - alias) for alias in aliases]
-    lowest = int(LOWEST_HZ * per_hz)
-    peak = lowest + int(np.argmax(spectrum[lowest:]))
-    floor = max(float(np.median(spectrum[1:])), 1e-12)
-    return {
-        'drive': float(spectrum[places[0]] / floor),
-        'twice': float(spectrum[places[1]] / floor),
-        'peak_hz': peak / per_hz,
-        'clear': min(abs(peak - place) for place in places) <= 1,
-    }
-
-
-def tones(
-    preset: Preset = PRESET,
-    devices: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
-    seed: Annotated[int, typer.Option(min=0, help='Random seed of sensors and days.')] = 11,
-    json: JsonFile = None,
-) -> None:
-    """Show which vibrations stand out in the events, in bins of 1 ms."""
-    named_preset(preset)
-    cases = [(f, a) for a in AMPLITUDES for f in FREQUENCIES]
-    rows = [
-        [tone_lines(f, a, seed, seed + k, preset) for k in range(devices)]
-        for f, a in track(cases, 'simulating vibrations', transient=True)
-    ]
-    shown = []
-    for row in rows:
-        above = sum(each['rate'] - each['rest_rate'] for each in row) / devices
-        cells = [1e3 * row[0]['amplitude_mm'], row[0]['frequency_hz'], above]
-        lines = [[each[name] for each in row] for name in TONE_SIGNALS]
-        strengths = [sum(max(each['drive'], each['twice']) for each in part) for part in lines]
-        clear = [sum(each['clear'] for each in part) for part in lines]
-        shown.append(
-            [f'{cell:.0f}' for cell in cells]
-            + [f'{s / devices:.0f} ({c})' for s, c in zip(strengths, clear, strict=True)]
-        )
-    headings = ('peak [um]', 'tone [Hz]', 'events above rest [1/s]', *TONE_SIGNALS.values())
-    title = f'vibration, {preset}, simulated: mean over {devices} sensors'
-    console = Console(markup=False)
-    console.print(make_table(title, headings, shown))
-    console.print('line over median; in brackets: sensors on which it is the largest peak')
-    flat = [each for row in rows for each in row]
-    write_json(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
-
-
-def tone_lines(
-    frequency_hz: float, amplitude_mm: float, seed: int, device_seed: int, preset: str
-) -> dict[str, Any]:
-    """Press a simulated sensor with a vibrating body and look for the tone in each signal.
-
-    Args:
-        frequency_hz: Frequency of the body [Hz], a whole number.
-        amplitude_mm: Amplitude, zero to peak [mm].
-        seed: Seed of the day.
-        device_seed: Seed of the sensor.
-        preset: Difficulty preset of the sensor.
-
-    Returns:
-        `frequency_hz`, `amplitude_mm`; `rest_rate` and `rate`, events per second at rest and during
-        the vibration; `count`, `polarity` and `flow` with what `find_line` returns.
-
-    Raises:
-        SimulationError: The body would leave the skin.
-    """
-    seen = shake(PRESSED, frequency_hz, amplitude_mm, seed, device_seed=device_seed, preset=preset)
-    rates = [
-        len(seen.events.between(_us(start), _us(end))) / (end - start)
-        for start, end in (REST_S, SHAKEN_S)
-    ]
-    signals = binned(seen, TONE_BIN_US)
-    return {
-        'frequency_hz': frequency_hz,
-        'amplitude_mm': amplitude_mm,
-        'rest_rate': rates[0],
-        'rate': rates[1],
-        **{name: find_line(signals[name], frequency_hz, TONE_BIN_US) for name in TONE_SIGNALS},
-    }

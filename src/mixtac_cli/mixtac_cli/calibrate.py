@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate`: from images of a checkerboard to a camera_info file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from mixtac_cli.figures import FORCE, REFERENCE, make_table, new_axes, save_figure
+from mixtac_cli.options import JsonFile, OptionalPath
+from mixtac_cli.up import start_nodes
+from mixtac_driver.camera_info import check_model, resolve, write_camera_info
+from mixtac_node.files import write_json
+from mixtac_node.graph import sensor_graph
+from mixtac_node.images import ImageConversionError, grey
+from mixtac_node.process import GraphError, ProcessGroup
+from mixtac_node.topics import DEFAULT_NAMESPACE, IMAGE_RAW
+from mixtac_recordings.bag import BagFile
+from mixtac_recordings.recording import RecordingError
+
+if TYPE_CHECKING:
+    from mixtac_driver.calibration import Solution, ViewSelection
+
+IMAGE_TIMEOUT_S = 20.0
+"""Longest time without an image [s]."""
+START_TIMEOUT_S = 60.0
+"""Longest time to the first image of a driver that is started [s]."""
+CAMERA_NAME = 'davis346'
+TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
+HINTS = {
+    'x': 'move the board to the left and right edge',
+    'y': 'move the board to the top and bottom edge',
+    'size': 'hold the board nearer and further away',
+    'skew': 'tilt and turn the board',
+    'coverage': 'move the board into the image corners',
+    'views': 'a few more views',
+}
+
+
+def calibrate(
+    bag: Annotated[OptionalPath, typer.Argument(help='Recording with the images.')] = None,
+    device: Annotated[
+        str,
+        typer.Option(
+            help='Start a driver for this device (davis346 or virtual); empty uses the running one.'
+        ),
+    ] = '',
+    topic: Annotated[str, typer.Option(help='Topic of the images.')] = TOPIC,
+    board: Annotated[str, typer.Option(help='Inner corners of the checkerboard.')] = '9x6',
+    square: Annotated[float, typer.Option(help='Side of a square (m).')] = 0.004,
+    model: Annotated[
+        str, typer.Option(help='equidistant (wide angle), plumb_bob or rational_polynomial.')
+    ] = 'equidistant',
+    alpha: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=1,
+            help='Free scaling parameter: 0 crops to valid pixels, 1 keeps all pixels.',
+        ),
+    ] = 0.0,
+    name: Annotated[
+        str, typer.Option(help='Name of the camera, as camera_name of the driver.')
+    ] = CAMERA_NAME,
+    out: Annotated[
+        OptionalPath, typer.Option(help='File to write; by default where the driver reads it.')
+    ] = None,
+    figure: Annotated[
+        OptionalPath, typer.Option(help='Draw corners and errors to this PNG or PDF file.')
+    ] = None,
+    json: JsonFile = None,
+    seconds: Annotated[
+        float,
+        typer.Option(
+            min=0, help='Longest time to collect live images (s); 0 until enough or Ctrl-C.'
+        ),
+    ] = 0.0,
+    rate: Annotated[
+        float, typer.Option(min=0, help='Images per second of a recording to use; 0 for all.')
+    ] = 5.0,
+) -> None:
+    """Calibrate the camera with a checkerboard and write a camera_info file."""
+    from mixtac_driver.calibration import Board, ViewSelection, find_board
+    from mixtac_driver.calibration import calibrate as solve
+
+    console = Console(markup=False)
+    check_model(model)
+    wanted, out = Board.parse(board, square), out or resolve('', name)
+    selection, seen, found = ViewSelection(), 0, 0
+    images = bag_images(bag, topic, rate) if bag is not None else live_images(topic, device)
+    end_s = time.monotonic() + seconds if seconds and bag is None else float('inf')
+    try:
+        for label, image in images:
+            view = find_board(image, wanted, label)
+            seen, found = seen + 1, found + (view is not None)
+            if view is not None and selection.offer(view):
+                console.print(_progress(selection, label))
+            if bag is None and (selection.complete or time.monotonic() > end_s):
+                break
+    except KeyboardInterrupt:
+        console.print('calibrating with the views collected so far')
+    console.print(f'board found in {found} of {seen} images')
+    solution = solve(selection.views, model=model, name=name, alpha=alpha)
+    print_solution(console, solution)
+    comment = f'mixtac calibrate: {len(solution.views)} views, error {solution.rms_px:.3f} px'
+    write_camera_info(out, solution.calibration, comment)
+    console.print(f'written to {out}')
+    if figure is not None:
+        draw_calibration(figure, solution)
+    write_json(json, _summary(solution, seen, found))
+
+
+def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, Any]]:
+    """Yield label and grey levels of the images of a bag.
+
+    Args:
+        path: Folder of the bag.
+        topic: Topic of the images.
+        rate_hz: Most images per second of the recording [Hz]; 0 for all.
+
+    Raises:
+        RecordingError: No bag, no such topic, no images on it, or damaged ones.
+    """
+    period_ns = 1e9 / rate_hz if rate_hz > 0.0 else 0.0
+    next_ns = 0.0
+    with BagFile(path) as bag:
+        kind = bag.types.get(topic)
+        if kind not in (None, IMAGE_RAW.type_name):
+            raise RecordingError(f'{path}: {topic} carries {kind}; name the topic of the images')
+        for _, received_ns, message in bag.messages(topic):
+            # Tolerate half a millisecond of jitter.
+            if received_ns < next_ns - 500_000:
+                continue
+            next_ns = received_ns + period_ns
+            yield labelled(message)
+
+
+def live_images(topic: str, device: str) -> Iterator[tuple[str, Any]]:
+    """Yield label and grey levels of live images; ends the nodes that it started.
+
+    Args:
+        topic: Topic of the images.
+        device: Device whose driver is started; empty for none.
+
+    Raises:
+        GraphError: A node ended, or no image came.
+    """
+    from mixtac_cli.monitor_node import ImageReceiver
+
+    namespace = topic.strip('/').rpartition('/')[0]
+    with ProcessGroup() as processes, ImageReceiver(topic) as receiver:
+        if device:
+            nodes = [node for node in sensor_graph(device) if not node.lifecycle]
+            start_nodes(processes, nodes, namespace)
+        timeout_s = START_TIMEOUT_S if device else IMAGE_TIMEOUT_S
+        last_s = time.monotonic()
+        while True:
+            processes.check()
+            message = receiver.take(0.2)
+            if message is not None:
+                yield labelled(message)
+                last_s, timeout_s = time.monotonic(), IMAGE_TIMEOUT_S
+            elif time.monotonic() - last_s > timeout_s:
+                raise GraphError(
+                    f'no image on {topic} in {timeout_s:.0f} s',
+                    remedy='run `mixtac up`, give --device, or name the --topic',
+                )
+
+
+def labelled(message: Any) -> tuple[str, Any]:  # noqa: ANN401
+    """Return the stamp of an image message as text [s], and its grey levels.
+
+    Raises:
+        RecordingError: Unknown encoding, or fewer data than the size requires.
+    """
+    stamp = message.header.stamp
+    try:
+        return f'{stamp.sec}.{stamp.nanosec // 1_000_000:03d}', grey(message)
+    except ImageConversionError as error:
+        raise RecordingError(str(error)) from error
+
+
+def _progress(selection: ViewSelection, label: str) -> str:
+    shares = selection.progress()
+    listed = ' '.join(f'{name} {share:.0%}' for name, share in shares.items())
+    least = min(shares, key=lambda name: shares[name])
+    hint = 'enough views' if selection.complete else HINTS[least]
+    return f'view {len(selection.views):2d} ({label})  {listed}; {hint}'
+
+
+def print_solution(console: Console, solution: Solution) -> None:
+    """Print the parameters with their standard deviations, and the errors."""
+    calibration = solution.calibration
+    title = f'{calibration.name}, {calibration.width}x{calibration.height}, {calibration.model}'
+    rows = []
+    for name, (value, deviation) in solution.parameters().items():
+        unit, digits = (' px', 2) if name in ('fx', 'fy', 'cx', 'cy') else ('', 5)
+        rows.append((name, f'{value:.{digits}f}{unit}', f'{deviation:.{digits + 1}f}{unit}'))
+    console.print(make_table(title, ('parameter', 'value', 'std. deviation'), rows))
+    console.print(f'reprojection error {solution.rms_px:.3f} px, {len(solution.views)} views')
+    for view, error in solution.removed:
+        console.print(f'view {view.label} removed: error {error:.2f} px')
+
+
+def _summary(solution: Solution, seen: int, found: int) -> dict[str, Any]:
+    from mixtac_driver.calibration import coverage
+
+    parameters = solution.parameters()
+    return {
+        'model': solution.calibration.model,
+        'images': seen,
+        'boards': found,
+        'views': len(solution.views),
+        'removed_views': [view.label for view, _ in solution.removed],
+        'coverage': coverage(solution.views),
+        'reprojection_error_px': {'rms': solution.rms_px, 'max': float(solution.view_rms_px.max())},
+        'view_error_px': solution.view_rms_px.tolist(),
+        'parameters': {name: value for name, (value, _) in parameters.items()},
+        'standard_deviations': {name: each for name, (_, each) in parameters.items()},
+        'projection': solution.calibration.projection.ravel().tolist(),
+    }
+
+
+def draw_calibration(path: Path, solution: Solution) -> None:
+    """Save a figure: the corners on the image, and the error of each view.
+
+    Raises:
+        FileError: The file cannot be written, or its suffix names no format.
+    """
+    calibration = solution.calibration
+    figure, (image, errors) = new_axes(columns=2, width=11.0, height=4.2)
+    corners = np.concatenate([view.corners for view in solution.views])
+    image.plot(*corners.T, '.', color=REFERENCE, ms=2)
+    image.plot(*calibration.camera_matrix[:2, 2], '+', color=FORCE, ms=12, mew=2)
+    image.set(xlim=(0, calibration.width), ylim=(calibration.height, 0), aspect='equal')
+    image.set(xlabel='column [px]', ylabel='row [px]', title='corners, and the optical axis')
+    errors.bar(np.arange(len(solution.view_rms_px)), solution.view_rms_px, color=REFERENCE)
+    errors.axhline(solution.rms_px, color=FORCE, lw=1.0)
+    errors.set(xlabel='view', ylabel='reprojection error [px]')
+    errors.set_title(f'{calibration.model}: {solution.rms_px:.3f} px over all views')
+    save_figure(figure, path)

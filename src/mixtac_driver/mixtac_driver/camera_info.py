@@ -1,0 +1,454 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration of a camera as in `sensor_msgs/CameraInfo`, its files, and undistorted events.
+
+Files are YAML as camera_info_manager and `camera_calibration` write them. Calibrations of OpenCV
+(`%YAML:1.0`) and camchains of Kalibr are read as well. OpenCV evaluates the lens models.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from mixtac_driver.errors import DriverError
+from mixtac_driver.parameters import DeviceParameters
+from mixtac_driver.pixels import event_buffers, move_events
+from mixtac_events.arrays import Events, Floats
+from mixtac_node.files import FileError, load_yaml, write_text
+
+EQUIDISTANT = 'equidistant'
+PLUMB_BOB = 'plumb_bob'
+RATIONAL = 'rational_polynomial'
+MODELS = {
+    PLUMB_BOB: ('k1', 'k2', 'p1', 'p2', 'k3'),
+    RATIONAL: ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
+    EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
+}
+"""Names of the coefficients by distortion model."""
+KALIBR_MODELS = {'radtan': PLUMB_BOB, 'equidistant': EQUIDISTANT}
+"""Distortion model by its name in a camchain of Kalibr."""
+MAX_BYTES = 1 << 20
+"""Largest calibration file [bytes]."""
+ROTATION_TOLERANCE = 1e-3
+"""Largest deviation of R R^T from the identity."""
+
+
+class CalibrationError(DriverError):
+    """A calibration that is missing, damaged, or of another camera."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """The lens and geometry of one camera, and the virtual camera of rectified images.
+
+    Attributes:
+        name: Name of the camera.
+        width: Columns of the full image.
+        height: Rows of the full image.
+        model: Distortion model, one of `MODELS`.
+        distortion: Coefficients of the model [n].
+        camera_matrix: K [3, 3], focal lengths and principal point [px].
+        rectification: R [3, 3], rotation from the camera to the rectified camera.
+        projection: P [3, 4], the rectified camera [px].
+
+    Raises:
+        CalibrationError: The values are implausible.
+    """
+
+    name: str
+    width: int
+    height: int
+    model: str
+    distortion: Floats
+    camera_matrix: Floats
+    rectification: Floats
+    projection: Floats
+
+    def __post_init__(self) -> None:
+        """Raise if the values are implausible."""
+        if min(self.width, self.height) <= 0:
+            raise CalibrationError(
+                f'image size {self.width}x{self.height}: give the columns and rows of the camera'
+            )
+        check_model(self.model)
+        if self.distortion.shape != (len(MODELS[self.model]),):
+            raise CalibrationError(
+                f'distortion_coefficients: {self.distortion.size} given, '
+                f'{self.model} has {len(MODELS[self.model])}'
+            )
+        for field in fields(self)[4:]:
+            if not np.isfinite(getattr(self, field.name)).all():
+                raise CalibrationError(f'{field.name} is not finite', remedy='recalibrate')
+        for name, matrix in (('camera', self.camera_matrix), ('projection', self.projection)):
+            if min(matrix[0, 0], matrix[1, 1]) <= 0.0:
+                raise CalibrationError(
+                    f'{name}_matrix: focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px must '
+                    'be positive'
+                )
+        turned = self.rectification @ self.rectification.T - np.eye(3)
+        if np.abs(turned).max() > ROTATION_TOLERANCE:
+            raise CalibrationError(
+                'rectification_matrix is not a rotation',
+                remedy='give the identity for a single camera',
+            )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return self.width, self.height
+
+    def undistort(self, points: Floats) -> Floats:
+        """Return the rectified pixels of raw pixels [n, 2]."""
+        import cv2  # slow to import; a driver without a calibration starts without it
+
+        lens = (self.camera_matrix, self.distortion)
+        rectified = {'R': self.rectification, 'P': self.projection}
+        given = np.asarray(points, np.float64)[:, None]
+        if self.model == EQUIDISTANT:
+            return np.asarray(cv2.fisheye.undistortPoints(given, *lens, **rectified)[:, 0])
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
+        return np.asarray(cv2.undistortPoints(given, *lens, **rectified, criteria=stop)[:, 0])
+
+
+def check_model(model: str) -> None:
+    """Raise if a name is not a lens model.
+
+    Raises:
+        CalibrationError: It is not in `MODELS`.
+    """
+    if model not in MODELS:
+        raise CalibrationError(f'distortion model {model!r} is unknown: use {", ".join(MODELS)}')
+
+
+DEFAULT_URL = 'file://${ROS_HOME}/camera_info/${NAME}.yaml'
+
+
+def resolve(url: str, camera_name: str) -> Path:
+    """Return the file that a URL names; it need not exist.
+
+    Args:
+        url: `file:///path`, `package://name/path` or a path, with `${NAME}` and `${ROS_HOME}`.
+        camera_name: Value of `${NAME}`.
+
+    Raises:
+        CalibrationError: Unknown scheme, variable or package, or a name with other characters than
+            letters, digits and `_`.
+    """
+    if not re.fullmatch(r'\w+', camera_name):
+        raise CalibrationError(f'camera_name {camera_name!r}: use letters, digits and _ only')
+    home = os.environ.get('ROS_HOME') or str(Path.home() / '.ros')
+    text = (url or DEFAULT_URL).replace('${NAME}', camera_name).replace('${ROS_HOME}', home)
+    scheme, separator, rest = text.partition('://')
+    if '${' in text:
+        raise CalibrationError(f'camerainfo_url {url!r}: use the variables ROS_HOME and NAME only')
+    if not separator:
+        return Path(text).expanduser().absolute()
+    if scheme == 'file' and rest.startswith('/'):
+        return Path(unquote(rest))
+    if scheme == 'package':
+        return _in_package(*unquote(rest).partition('/')[::2], url)
+    raise CalibrationError(
+        f'camerainfo_url {url!r}: use file:///path, package://name/path or a path'
+    )
+
+
+def _in_package(package: str, path: str, url: str) -> Path:
+    try:
+        from ament_index_python.packages import get_package_share_directory
+
+        return Path(get_package_share_directory(package)) / path
+    except (ImportError, LookupError, ValueError) as error:
+        raise CalibrationError(
+            f'camerainfo_url {url!r}: no package {package!r}; source its workspace or give a path'
+        ) from error
+
+
+def read_camera_info(path: Path) -> CameraCalibration:
+    """Return the calibration in a file; keys that are not needed are ignored.
+
+    Raises:
+        CalibrationError: The file is missing, damaged, or describes no camera; names the file and
+            the key.
+    """
+    try:
+        return parse_camera_info(_text(path), path.stem)
+    except CalibrationError as error:
+        raise CalibrationError(f'{path}: {error.message}', remedy=error.remedy) from error
+
+
+def parse_camera_info(text: str, name: str = 'camera') -> CameraCalibration:
+    """Return the calibration in the text of a file.
+
+    Args:
+        text: Text of the file.
+        name: Name of the camera where the file has none.
+
+    Raises:
+        CalibrationError: As `read_camera_info`.
+    """
+    # OpenCV writes a directive and tags that YAML does not know.
+    text = re.sub(r'^%YAML:1\.0\s*(---)?', '', text).replace('!!opencv-matrix', '')
+    try:
+        document = load_yaml(text)
+    except FileError as error:
+        raise CalibrationError(error.message, remedy='recalibrate') from error
+    if not isinstance(document, dict):
+        raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
+    if 'cam0' in document:
+        document = _of_kalibr(document['cam0'])
+    matrix = _matrix(document, 'camera_matrix', (3, 3))
+    coefficients = _matrix(document, 'distortion_coefficients', None).ravel()
+    model = document.get('distortion_model', RATIONAL if len(coefficients) == 8 else PLUMB_BOB)
+    if model == PLUMB_BOB and len(coefficients) == 4:
+        coefficients = np.append(coefficients, 0.0)
+    identity = np.eye(3)
+    return CameraCalibration(
+        name=str(document.get('camera_name', name)),
+        width=_whole(document, 'image_width'),
+        height=_whole(document, 'image_height'),
+        model=str(model),
+        distortion=coefficients,
+        camera_matrix=matrix,
+        rectification=_matrix(document, 'rectification_matrix', (3, 3), identity),
+        projection=_matrix(document, 'projection_matrix', (3, 4), np.eye(3, 4), matrix),
+    )
+
+
+def _of_kalibr(camera: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the first camera of a camchain with the keys of camera_info_manager."""
+    try:
+        fx, fy, cx, cy = camera['intrinsics']
+        width, height = camera['resolution']
+        model, coefficients = camera['distortion_model'], camera['distortion_coeffs']
+        matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+        found = {'distortion_model': KALIBR_MODELS.get(model, model)}
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f'cam0 of this camchain lacks {error}; recalibrate') from error
+    return found | {
+        'image_width': width,
+        'image_height': height,
+        'camera_matrix': {'rows': 3, 'cols': 3, 'data': matrix},
+        'distortion_coefficients': {'rows': 1, 'cols': len(coefficients), 'data': coefficients},
+    }
+
+
+def _whole(document: dict[str, Any], key: str) -> int:
+    value = document.get(key)
+    if type(value) is not int:
+        raise CalibrationError(f'{key}: {value!r} is not a whole number; recalibrate')
+    return value
+
+
+def _matrix(
+    document: dict[str, Any],
+    key: str,
+    shape: tuple[int, int] | None,
+    default: Floats | None = None,
+    left: Floats | None = None,
+) -> NDArray[np.float64]:
+    """Return a matrix of a file, or `default` with `left` in its first columns."""
+    block = document.get(key)
+    if block is None and default is not None:
+        return default if left is None else np.hstack([left, default[:, left.shape[1] :]])
+    try:
+        # The C++ writer omits the point of 1e-05, which YAML 1.1 then reads as text.
+        found = np.array([float(each) for each in block['data']])
+        found = found.reshape(int(block['rows']), int(block['cols']))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise CalibrationError(f'{key}: it must have rows, cols and data ({error})') from error
+    if shape is not None and found.shape != shape:
+        raise CalibrationError(f'{key}: it is {found.shape}, it must be {shape}')
+    return found
+
+
+def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str:
+    """Return the text of a file.
+
+    Args:
+        calibration: The calibration.
+        comment: Lines to put at the top, without `#`.
+    """
+    lines = [f'# {line}'.rstrip() for line in comment.splitlines()]
+    name = yaml.safe_dump(calibration.name, default_style="'", width=10_000).strip()
+    lines += [
+        f'image_width: {calibration.width}',
+        f'image_height: {calibration.height}',
+        f'camera_name: {name}',
+        *_block('camera_matrix', calibration.camera_matrix),
+        f'distortion_model: {calibration.model}',
+        *_block('distortion_coefficients', calibration.distortion[None, :]),
+        *_block('rectification_matrix', calibration.rectification),
+        *_block('projection_matrix', calibration.projection),
+    ]
+    return '\n'.join(lines) + '\n'
+
+
+def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
+    """Write a file, and its folder if necessary; readers never see a partial file.
+
+    Args:
+        path: File to write; an existing calibration is replaced.
+        calibration: The calibration.
+        comment: Lines to put at the top, without `#`.
+
+    Raises:
+        CalibrationError: Another file than a calibration is there.
+        FileError: The file cannot be written.
+    """
+    if path.exists():
+        try:
+            read_camera_info(path)
+        except CalibrationError as error:
+            raise CalibrationError(
+                f'{path} is not a calibration and stays as it is ({error.message})',
+                remedy='remove it, or name another file',
+            ) from error
+    write_text(path, format_camera_info(calibration, comment))
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError('larger than 1 MiB: this is no camera_info file')
+        return path.read_text(encoding='utf-8')
+    except FileNotFoundError as error:
+        raise CalibrationError('no such file: write it with `mixtac calibrate`') from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f'cannot be read ({error}): check the path') from error
+
+
+def _block(key: str, matrix: NDArray[np.float64]) -> list[str]:
+    rows, columns = matrix.shape
+    values = ', '.join(_number(float(each)) for each in matrix.ravel())
+    return [f'{key}:', f'  rows: {rows}', f'  cols: {columns}', f'  data: [{values}]']
+
+
+def _number(value: float) -> str:
+    text = repr(value)
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
+
+
+class EventUndistortion:
+    """Moves events to the nearest pixel of the rectified camera.
+
+    Args:
+        calibration: The camera; its R and P define the rectified camera.
+
+    Attributes:
+        table: `int32` [height, width], rectified place of each raw pixel as row * 65536 + column,
+            -1 where it is outside the image.
+    """
+
+    def __init__(self, calibration: CameraCalibration) -> None:
+        width, height = calibration.size
+        rows, columns = np.mgrid[0:height, 0:width]
+        ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
+        near = np.floor(np.nan_to_num(ideal, nan=-1.0).clip(-1.0, 65535.0) + 0.5).astype(np.int32)
+        inside = ((near >= 0) & (near < (width, height))).all(axis=1)
+        places = near[:, 1] << 16 | near[:, 0]
+        self.table = np.where(inside, places, -1).astype(np.int32).reshape(height, width)
+        self.undistort(Events.empty())  # compile before the first events arrive
+
+    def undistort(self, events: Events) -> Events:
+        """Return the events that fall inside the rectified image, in the same order."""
+        return move_events(events, self.table, event_buffers(len(events)))
+
+
+class CalibratedCamera:
+    """The calibration that a node serves; there may be none yet.
+
+    Args:
+        parameters: Location and use of the calibration.
+        size: Columns and rows of the camera.
+
+    Attributes:
+        path: File of the calibration, whether or not it exists.
+        calibration: The calibration, or None.
+        undistortion: Moves events, if `undistort_events` is set; replaced as a whole.
+
+    Raises:
+        CalibrationError: The file is damaged or of a camera of another size, or missing although
+            undistortion is enabled.
+    """
+
+    def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
+        self._parameters = parameters
+        self._size = size
+        self.calibration: CameraCalibration | None = None
+        self.undistortion: EventUndistortion | None = None
+        self.path: Path = resolve(parameters.camerainfo_url, parameters.camera_name)
+        if self.path.exists():
+            self._use(read_camera_info(self.path))
+        elif parameters.undistort_events:
+            raise CalibrationError(
+                f'undistortion needs a calibration, and {self.path} does not exist',
+                remedy='write it with `mixtac calibrate`, or set camerainfo_url',
+            )
+
+    def describe(self) -> str:
+        """Return one line for the log: the calibration in use, or that there is none."""
+        if self.calibration is None:
+            return f'not calibrated: no {self.path}; write it with `mixtac calibrate`'
+        return f'calibration {self.path} of {self.calibration.name}'
+
+    def camera_info_fields(self) -> dict[str, Any]:
+        """Return the fields of `sensor_msgs/CameraInfo` by name; none without calibration."""
+        calibration = self.calibration
+        if calibration is None:
+            return {}
+        return {
+            'width': calibration.width,
+            'height': calibration.height,
+            'distortion_model': calibration.model,
+            'd': calibration.distortion.tolist(),
+            'k': calibration.camera_matrix.ravel().tolist(),
+            'r': calibration.rectification.ravel().tolist(),
+            'p': calibration.projection.ravel().tolist(),
+        }
+
+    def save(self, info: Any) -> Path:  # noqa: ANN401
+        """Check a calibration, write it to its file, use it from now on, and return the file.
+
+        Args:
+            info: A `sensor_msgs/CameraInfo`, or anything with these fields.
+
+        Raises:
+            CalibrationError: It is implausible, of another camera, or cannot be written.
+        """
+        calibration = CameraCalibration(
+            name=self._parameters.camera_name,
+            width=info.width,
+            height=info.height,
+            model=info.distortion_model,
+            distortion=np.array(info.d, np.float64),
+            camera_matrix=np.array(info.k, np.float64).reshape(3, 3),
+            rectification=np.array(info.r, np.float64).reshape(3, 3),
+            projection=np.array(info.p, np.float64).reshape(3, 4),
+        )
+        self._check_size(calibration)
+        write_camera_info(self.path, calibration)
+        self._use(calibration)
+        return self.path
+
+    def _use(self, calibration: CameraCalibration) -> None:
+        self._check_size(calibration)
+        if self._parameters.undistort_events:
+            self.undistortion = EventUndistortion(calibration)
+        self.calibration = calibration
+
+    def _check_size(self, calibration: CameraCalibration) -> None:
+        if calibration.size != self._size:
+            raise CalibrationError(
+                f'calibration for {calibration.width}x{calibration.height} px, this camera has '
+                f'{self._size[0]}x{self._size[1]}',
+                remedy='calibrate this camera, or name its file in camerainfo_url',
+            )
