@@ -15,26 +15,17 @@ from mixtac_node.launch_actions import (
 )
 
 PARAMETERS = (
-    'arm_address',
-    'lead',
-    'interval',
-    'limit_share',
-    'max_speed',
-    'max_total',
-    'max_force',
-    'normal_frame',
-    'normal_x',
-    'normal_y',
-    'normal_z',
-    'frame_id',
-    'trajectory_topic',
+    'controller',
     'joint_state_topic',
-    'controller_state_topic',
+    'normal_frame',
+    'normal',
+    'lead',
+    'limit_share',
+    'grip_margin',
+    'max_force',
+    'max_total',
     'heartbeat_topic',
     'gripper',
-    'gripper_rate',
-    'gripper_latency',
-    'gripper_speed',
 )
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -46,21 +37,21 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'arm',
         default_value='',
-        description='Arm to move: none (report slip only), fr3, libfranka (an FR3 without '
-        'ros2_control), or the path of a URDF file; empty: that of params_file, by default none',
+        description='Arm to move: none (report slip only), fr3, or the path of a URDF file; empty: '
+        'that of params_file, by default none',
     ),
     DeclareLaunchArgument(
         'arm_backend',
         default_value='',
-        description='Backend that drives the arm: trajectory, libfranka, or a plug-in; empty: '
-        'that of params_file',
+        description='Backend that drives the arm: trajectory, or a plug-in; empty: that of '
+        'params_file',
     ),
     DeclareLaunchArgument(
-        'detector',
+        'law',
         default_value='',
-        choices=['', 'flow', 'count'],
-        description="Slip detector: motion of the skin, or the paper's event count; empty: that of "
-        'params_file, by default flow',
+        choices=['', 'step', 'paper'],
+        description='Response to slip: a bounded step, or the law of the paper; empty: that of '
+        'params_file, by default step',
     ),
     *(
         DeclareLaunchArgument(
@@ -76,7 +67,7 @@ ARGUMENTS = [
 
 def _nodes(context):
     """Return the actions of slip control."""
-    chosen = given(context, 'arm', 'arm_backend', 'detector', *PARAMETERS)
+    chosen = given(context, 'arm', 'arm_backend', 'law', *PARAMETERS)
     device = value(context, 'device')
     nodes = sensor_graph(device, slip=chosen) if device else [slip_control(chosen)]
     return node_actions(context, *nodes)

@@ -15,23 +15,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_slip_control.arm.following import FollowingWatch
+from mixtac_slip_control.arm.following import ARM_LAG_S, FollowingWatch
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-from mixtac_slip_control.detectors import Detectors
+from mixtac_slip_control.detectors import LEARNING_WINDOWS, Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
-from mixtac_slip_control.grip import LATEST_US, GripMargin
-from mixtac_slip_control.law import Advance
-from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
-from mixtac_slip_control.safety import JOINTS, Interlock, InterlockState, SafetyWatch
+from mixtac_slip_control.law import AdvanceLaw
+from mixtac_slip_control.parameters import (
+    WINDOW_S,
+    SlipControlParameters,
+)
+from mixtac_slip_control.safety import (
+    JOINTS,
+    SATURATION_COUNT,
+    Interlock,
+    InterlockState,
+    SafetyWatch,
+)
 
 Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -45,27 +53,20 @@ class SlipStep:
         count: Events in the window.
         background: Median of the counts at rest.
         background_sigma: Scale of the tail of the counts at rest.
-        threshold: Count above which the paper's law detects slip.
-        count_slipping: Decision of the paper's law.
+        threshold: Count above which the count detector of the paper detects slip.
+        count_slipping: Decision of the count detector.
         flow: Translation of the skin [px per contrast threshold]; 0 where the events do not agree.
         flow_threshold: Translation above which the flow detector detects slip.
         flow_slipping: Decision of the flow detector.
-        slipping: Decision of the chosen detector.
+        slipping: Decision of the detector that the law uses.
         state: Number of the `InterlockState`.
         enabled: Whether the arm may follow slip.
-        advance: Wanted because of this window, along the contact normal [m].
-        total_advance: Wanted since enabling [m].
-        reason: Why it stopped, else why it cannot be enabled now; empty if it can or is.
+        advance: Change of the wanted advance by this window, along the contact normal [m].
+        total_advance: Wanted advance since enabling [m].
+        reason: Why slip control stopped, else why it cannot be enabled now; else empty.
         slip_direction: Of the motion of the skin while it slips, from x to y of the contact frame
             [rad]; 0 otherwise.
-        slip_rotation: Rotation of the skin about the contact normal within the window, from x to y
-            of the contact frame [rad per contrast threshold]; 0 where the events agree on none.
-        friction: Friction coefficient as the sensor measures it.
-        friction_deviation: Its standard deviation.
-        margin: Normal force over the smallest that holds; 0 where it is not known.
-        margin_deviation: Its standard deviation.
-        wanted_force: Normal force that the grasp needs for `grip_margin` [N]; 0 where it is not
-            known.
+        wanted_force: Normal force that the law `step` presses for or keeps [N]; 0 while disabled.
     """
 
     end_us: int
@@ -84,16 +85,17 @@ class SlipStep:
     total_advance: float
     reason: str
     slip_direction: float
-    slip_rotation: float
-    friction: float
-    friction_deviation: float
-    margin: float
-    margin_deviation: float
     wanted_force: float
 
 
 CALM_US: Final = 200_000
 """Time after a slip in which the sensor's force is not learned from [us]: five frames."""
+LATEST_US: Final = 1_000_000
+"""A slip that lies farther ahead than this belongs to a clock that has started anew [us]."""
+OLDEST_S: Final = 0.2
+"""Older forces count as this old [s]: the planner keeps advances for little longer."""
+NEVER: Final = -(10**9)
+"""Time of no slip, camera clock [us]."""
 
 
 class SlipController:
@@ -109,10 +111,11 @@ class SlipController:
     Attributes:
         interlock: Whether the arm may follow.
         watch: Ages and limits.
+        unsafe: Why the arm's controller is not safe to stream to; empty if nothing is wrong.
         following: Whether the arm is where the plan leads it; None without an arm.
         detectors: Both slip detectors.
         features: Cuts the event stream into windows.
-        grip: Friction and margin of the grasp.
+        law: Owner of the wanted advance.
     """
 
     def __init__(
@@ -127,13 +130,13 @@ class SlipController:
         self.watch = SafetyWatch(parameters, check_state)
         self.detectors = Detectors(parameters)
         self.features = SlipFeatures(parameters)
-        self.grip = GripMargin(parameters)
-        self._calm_us = self._end_us = -1
+        self.law = AdvanceLaw(parameters)
+        self._calm_us = self._end_us = NEVER
         self._planner = planner
-        self._advance = None if planner is None else Advance(parameters, planner, self.grip)
         self.following = None if planner is None else FollowingWatch(parameters, planner)
+        self.unsafe = ''
+        self._window: tuple[int, float] | None = None
         self._normal_source = normal
-        self._normal = np.zeros(3)
         self._settling = (0.0, 0.0)
         self._latest_s = -math.inf
 
@@ -147,94 +150,52 @@ class SlipController:
         """Whether there is anything to move."""
         return self._planner is not None
 
-    @property
-    def total_advance(self) -> float:
-        """Wanted advance since enabling [m]."""
-        return self._advance.total if self._advance else 0.0
-
-    @property
-    def advance_limit(self) -> float:
-        """Largest advance at present [m]."""
-        return self._advance.limit if self._advance else 0.0
-
-    @property
-    def refused_plans(self) -> int:
-        """Plans that would have broken a limit of the arm, and were not sent."""
-        return self._planner.refused if self._planner else 0
-
-    @property
-    def stiffness(self) -> float:
-        """Estimated stiffness of the contact [N/m]; 0 without an arm."""
-        return self._advance.bound.stiffness.stiffness if self._advance else 0.0
-
-    @property
-    def probing(self) -> bool:
-        """Whether the stiffness of the contact is being measured by a small press."""
-        return self.enabled and self._advance is not None and self._advance.bound.probe.active
-
     def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other parameters, except the window and where the contact is.
+        """Use other parameters.
 
         Raises:
-            SlipControlError: Slip control is enabled, and a parameter other than those of
-                `ADJUSTABLE_WHILE_ENABLED` changes.
+            SlipControlError: Slip control is enabled.
         """
-        old = self._parameters
-        changed = {
-            f.name for f in fields(old) if getattr(parameters, f.name) != getattr(old, f.name)
-        }
-        fixed = sorted(changed - ADJUSTABLE_WHILE_ENABLED)
-        if self.enabled and fixed:
+        if self.enabled:
             raise SlipControlError(
-                f'parameter {fixed[0]} is fixed while slip control is enabled',
-                remedy='disable it before the change',
+                'parameters are fixed while slip control is enabled', remedy='disable it first'
             )
         self._parameters = parameters
         self.detectors.configure(parameters)
         self.watch.configure(parameters)
-        self.grip.configure(parameters)
-        if self._advance is not None and self.following is not None:
-            self._advance.configure(parameters)
-            self.following.configure(parameters)
+        self.law.configure(parameters)
 
-    def on_force(
-        self,
-        force_n: float,
-        stamp_us: int,
-        now_s: float,
-        *,
-        deviation: float = 0.0,
-        pull_n: float | None = None,
-    ) -> None:
-        """Take what the sensor measures.
+    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
+        """Use a measured force.
 
         Args:
             force_n: Normal force [N].
             stamp_us: Its time, camera clock [us].
             now_s: Host time [s].
-            deviation: Standard deviation of the force [N]; 0 of one that is only noisy.
-            pull_n: Sideways force [N]; None where it is not known.
         """
-        # What cannot be trusted teaches nothing.
-        new = self.watch.on_force(force_n, stamp_us, now_s, deviation)
-        if new and self.watch.trusts_force(now_s):
+        new = self.watch.on_force(force_n, stamp_us, now_s)
+        if new and self._planner is not None and self.watch.trusts_force(now_s):
+            age = 0.0
+            if self._window is not None:
+                end_us, arrived_s = self._window
+                age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
+            at_s = now_s - min(max(age, 0.0), OLDEST_S)
+            # The arm lags by up to twice its time constant: its advance is between these two.
+            ends = self._planner.advance_at(at_s), self._planner.advance_at(at_s - 2.0 * ARM_LAG_S)
+            place, spread = 0.5 * (ends[0] + ends[1]), 0.25 * abs(ends[0] - ends[1])
             calm = self._calm(stamp_us)
-            if pull_n is not None and math.isfinite(pull_n):
-                self.grip.on_force(force_n, pull_n, stamp_us, still=calm and not self.probing)
-            if self._advance is not None:
-                given = force_n, stamp_us, now_s, deviation
-                self.watch.upper = self._advance.on_force(*given, calm=calm)
+            self.law.on_force(force_n, place, spread, calm=calm, enabled=self.enabled)
         self.tick(now_s)
 
     def on_quality(self, untrusted: str, now_s: float) -> None:
-        """Take why the latest force cannot be trusted; empty if it can."""
+        """Record why the latest force cannot be trusted; empty if it can be."""
         self.watch.on_quality(untrusted)
         self.tick(now_s)
 
     def on_frame(
         self, image: NDArray[np.uint8] | NDArray[np.uint16], stamp_us: int, now_s: float
     ) -> None:
-        """Take a frame.
+        """Use a frame for measuring motion from now on.
 
         Args:
             image: Intensity [height, width], any number of bits.
@@ -250,7 +211,7 @@ class SlipController:
     def on_joint_state(
         self, positions: Sequence[float], now_s: float, stamp_s: float | None = None
     ) -> None:
-        """Take the joint positions [rad] of the arm, in the planner's order.
+        """Check the measured joint positions [rad] of the arm, in the planner's order.
 
         Args:
             positions: One for each joint.
@@ -264,20 +225,21 @@ class SlipController:
         self.tick(now_s)
 
     def on_commanded(self, positions: Sequence[float], stamp_s: float, now_s: float) -> None:
-        """Take the joint positions [rad] that the arm's controller commands at a time [s]."""
+        """Check the joint positions [rad] that the arm's controller commands at a time [s]."""
         q = np.asarray(positions, np.float64)
         if self.following is not None and np.isfinite(q).all():
-            self.following.on_commanded(q, stamp_s, now_s)
+            self.following.needs_commands = True
+            self.following.on_commanded(q, stamp_s)
             self.tick(now_s)
 
     def on_heartbeat(self, now_s: float) -> None:
-        """Take a heartbeat of the supervisor."""
+        """Record a heartbeat of the supervisor."""
         self.watch.on_heartbeat(now_s)
 
     def on_events(
         self, events: Events, complete_until: int, now_s: float, *, lost: bool = False
     ) -> list[SlipStep]:
-        """Take the next packet and return the results of the windows that it closes.
+        """Process the next packet and return the results of the windows that it closes.
 
         Args:
             events: Camera clock [us].
@@ -298,7 +260,7 @@ class SlipController:
         if self._planner is None or not self._may_move(now_s):
             return None
         try:
-            return self._planner.plan(now_s, self.total_advance, self._normal)
+            return self._planner.plan(now_s, self.law.total)
         except SlipControlError as error:
             self.interlock.stop(str(error))
             return None
@@ -311,7 +273,7 @@ class SlipController:
         return fault
 
     def reason(self, now_s: float) -> str:
-        """Return why it stopped, else why it cannot be enabled now; empty if it can or is."""
+        """Return why slip control stopped, else why it cannot be enabled now; else empty."""
         if self.interlock.state is InterlockState.STOPPED:
             return self.interlock.reason
         if self.enabled:
@@ -331,9 +293,9 @@ class SlipController:
     def braking(self, now_s: float) -> PlannedTrajectory | None:
         """Return the trajectory that ends a motion early, or None where nothing moves.
 
-        To be asked for once after a stop or a disabling. Where it cannot be planned, the last
-        trajectory brings the arm to rest. An arm that is not where the plan leads it is left alone:
-        a trajectory from there would begin with a step.
+        Call this once after a stop or a disabling. Where no such trajectory can be planned, the
+        last one brings the arm to rest. An arm that is not where the plan leads it is left alone: a
+        trajectory from there would begin with a step.
         """
         if self._planner is None or (self.following is not None and self.following.lost):
             return None
@@ -355,13 +317,13 @@ class SlipController:
             now_s: Host time [s].
             commanded: Joint positions (n,) [rad] that the arm's controller commands; None where it
                 is led to the measured ones.
-            settling_s: How long that takes [s]; slip is answered afterwards.
+            settling_s: Time that this takes [s]; slip is answered afterwards.
 
         Raises:
             SlipControlError: No arm, nothing learned, slip at present, an arm that still moves, a
                 watchdog, a limit, or a stop that was not reset.
         """
-        if self._planner is None or self._advance is None or self.following is None:
+        if self._planner is None or self.following is None:
             raise SlipControlError(
                 'slip control has no arm', remedy='start it with the parameter arm'
             )
@@ -373,18 +335,18 @@ class SlipController:
         joints = np.array(measured) if commanded is None else commanded
         source = self._normal_source
         try:
-            self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
-            self._planner.reset(joints, self._normal, self._parameters.max_total)
-            self._advance.start()
+            normal = np.asarray(source(joints) if callable(source) else source, np.float64)
+            at_rest = self._planner.advance_at(now_s)
+            self._planner.reset(joints, normal, self._parameters.max_total)
+            self.law.start(at_rest)
             self.following.start(now_s + settling_s, np.array(measured), commanded)
         except BaseException:
             self.interlock.disable()
             raise
         self._settling = (now_s, now_s + settling_s)
-        self.watch.on_enabling(now_s)
 
     def disable(self) -> None:
-        """Let nothing move; the sum stays on record until the next enabling."""
+        """Let nothing move; the wanted advance stays on record until the next enabling."""
         self.interlock.disable()
 
     def reset(self, now_s: float) -> None:
@@ -412,17 +374,18 @@ class SlipController:
         if self.enabled:
             raise SlipControlError('slip control is enabled', remedy='disable it before taring')
         self.detectors.reset()
-        self.grip.start()
-        self._calm_us = -1
+        self._calm_us = NEVER
 
     def _reason_not_to_enable(self, now_s: float) -> str | None:
         if not self.detectors.learned:
             return (
                 'the background is not learned yet: keep the contact still for '
-                f'{self._parameters.learning_windows} windows, with events and frames arriving'
+                f'{LEARNING_WINDOWS} windows, with events and frames arriving'
             )
         if self.detectors.slipping or not self._calm(self._end_us):
             return 'the object slips, or has just done so: wait until it is still, or tare'
+        if self.unsafe:
+            return self.unsafe
         start, end = self._settling
         # A trajectory from the measured positions would cut a motion that has not ended.
         if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
@@ -441,27 +404,29 @@ class SlipController:
         ready = self.following is not None and self.following.ready
         return ready and self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
 
+    def _commanded_motion(self, now_s: float) -> float:
+        """Return how far the arm was commanded to move in the window that ends now [m]."""
+        if self._planner is None:
+            return 0.0
+        end_s = now_s - ARM_LAG_S
+        return self._planner.advance_at(end_s) - self._planner.advance_at(end_s - WINDOW_S)
+
     def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
         self.watch.on_window(window, now_s)
-        detectors, count = self.detectors, self.detectors.count
-        motion = wanted = 0.0
-        if self._advance is not None:
-            self._advance.on_window(window.end_us, now_s)
-            motion = self._advance.commanded_motion(now_s)
-        before, self._end_us = detectors.slipping, window.end_us
-        slipping = detectors.update(window, motion)
+        detectors, count, law = self.detectors, self.detectors.count, self.law
+        self._window, self._end_us = (window.end_us, now_s), window.end_us
+        slipping = detectors.update(window, self._commanded_motion(now_s))
         if slipping:
             self._calm_us = window.end_us + CALM_US
-            if not before and not self.probing:
-                self.grip.on_slip(window.end_us)
-        full = window.count >= self._parameters.saturation_count
-        if self._advance is not None and not full and self._may_move(now_s):
-            wanted = self._advance.update(window.count, detectors, self.watch.upper, now_s)
+        wanted, full = 0.0, window.count >= SATURATION_COUNT
+        if self._planner is not None and not full and self._may_move(now_s):
+            reached, force = self._planner.advance_at(now_s), self.watch.force or 0.0
+            wanted = law.update(window.count, count.threshold, reached, force, slipping=slipping)
         return SlipStep(
             end_us=window.end_us,
             count=window.count,
-            background=count.background.median,
-            background_sigma=count.background.scale,
+            background=count.rest.median,
+            background_sigma=count.rest.scale,
             threshold=count.threshold,
             count_slipping=count.slipping,
             flow=detectors.flow.flow,
@@ -471,9 +436,8 @@ class SlipController:
             state=int(self.interlock.state),
             enabled=self.enabled,
             advance=wanted,
-            total_advance=self.total_advance,
+            total_advance=law.total,
             reason=self.reason(now_s),
             slip_direction=math.atan2(-window.flow_y, window.flow_x) if slipping else 0.0,
-            slip_rotation=-window.rotation,
-            **self.grip.figures(),
+            wanted_force=law.step.goal if self.enabled else 0.0,
         )

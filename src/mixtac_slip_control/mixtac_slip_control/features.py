@@ -6,8 +6,7 @@ A bead edge that moves by u changes the log intensity by -g u, where g is its gr
 reports one contrast threshold of that change with its sign. Sums of sign times gradient over a
 window, weighted with the fields that the motion may have, therefore give the motion by least
 squares. Two kinds of motion are separated: translation of the skin around the contact, which slip
-makes, and motion away from the centre of the contact, which pressing makes. Rotation about that
-centre is what the events tell beyond both; it changes neither.
+causes, and motion away from the centre of the contact, which pressing causes.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.frames import bin_mean, gradients, log_contrast
 from mixtac_events.windows import WindowSlicer
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import WINDOW_US, SlipControlParameters
 
 BIN: Final = 2
 """Pixels along a bin of the gradient: bead edges are wider, and noise is halved."""
@@ -34,10 +33,10 @@ RIDGE: Final = 1e-3
 """Regularisation over the mean of the normal matrix' diagonal."""
 LEAST_MOVE_PX: Final = 4.0
 """Distance by which a contact has to move to be followed [px]: less changes no weight by 5 %."""
-MODES: Final = 4
-"""Translation along x and y, pressing, and rotation."""
-JOINT: Final = 3
-"""The first of them, which are fitted without the last."""
+MODES: Final = 3
+"""Translation along x and y, and pressing."""
+REACH_SHARE: Final = 9.0 / 26.0
+"""Distance from the contact at which its weight is 1/e, over the shorter side of the image."""
 ZONES: Final = 3
 """At the contact, around it, far from it."""
 
@@ -47,10 +46,9 @@ class FlowGuide:
     """One frame, ready for event windows.
 
     Attributes:
-        fields: What an event of either sign adds to the sums, float32 [4, rows, columns] of bins.
-        solver: Times the negative sums it gives motion at the contact, and of rotation and pressing
-            at its reach [px per contrast threshold], float64 [4, 4].
-        reach: Distance from the contact at which its weight is 1/e [px].
+        fields: What an event of either sign adds to the sums, float32 [3, rows, columns] of bins.
+        solver: Times the negative sums it gives translation at the contact and pressing at its
+            reach [px per contrast threshold], float64 [3, 3].
         frame_us: Centre of the frame's exposure, camera clock [us].
         contrast: Root mean square gradient of the log intensity at the contact [1/px].
         zones: 0 at the contact (within its reach), 1 around it, 2 far from it (one and a half
@@ -60,7 +58,6 @@ class FlowGuide:
 
     fields: NDArray[np.float32]
     solver: NDArray[np.float64]
-    reach: float
     frame_us: int
     contrast: float
     zones: NDArray[np.uint8]
@@ -82,9 +79,9 @@ class GuideMaker:
         self._centre: tuple[float, float] | None = None
 
     def contact_at(self, column: float, row: float) -> None:
-        """Set where the contact is in the image [px], unless parameters say; for later frames."""
-        before, p = self._centre, self.parameters
-        if max(p.contact_column, p.contact_row) >= 0.0:
+        """Set the contact in later images [px], unless the parameters do."""
+        before = self._centre
+        if self.parameters.contact_place is not None:
             return
         if before is None or math.dist(before, (column, row)) > LEAST_MOVE_PX:
             self._centre, self._size = (column, row), (0, 0)
@@ -110,14 +107,11 @@ class GuideMaker:
         np.multiply(along_y, self._weight, out=fields[1])
         np.multiply(fields[0], self._away_x, out=fields[2])
         fields[2] += fields[1] * self._away_y
-        np.multiply(fields[1], self._away_x, out=fields[3])
-        fields[3] -= fields[0] * self._away_y
         squares = float(np.vdot(fields[:2], fields[:2]))
         # A contact outside of the image has no weight in it.
         contrast = math.sqrt(0.5 * squares / max(self._weight_squares, 1e-12))
         solver = _solver(fields)
-        where = self._zones, self._bins
-        return FlowGuide(fields, solver, self._reach, int(frame_us), contrast, *where)
+        return FlowGuide(fields, solver, int(frame_us), contrast, self._zones, self._bins)
 
     def _resize(self, size: tuple[int, ...]) -> None:
         """Make scratch memory and the geometry of the contact for images [height, width]."""
@@ -128,13 +122,9 @@ class GuideMaker:
             )
         height, width = size
         shape = (height // BIN, width // BIN)
-        p = self.parameters
-        column, row = self._centre or (width / 2.0, height / 2.0)
-        column = p.contact_column if p.contact_column >= 0.0 else column
-        row = p.contact_row if p.contact_row >= 0.0 else row
-        # 90 px on the DAVIS346, for which it was chosen; the same part of any other image.
-        reach = p.contact_reach or 9.0 * min(size) / 26.0
-        self._reach = reach
+        centre = self.parameters.contact_place or self._centre
+        column, row = centre or (width / 2.0, height / 2.0)
+        reach = REACH_SHARE * min(size)
         across = (BIN * np.arange(shape[1]) + 0.5 * (BIN - 1) - column) / reach
         down = (BIN * np.arange(shape[0]) + 0.5 * (BIN - 1) - row) / reach
         away_x, away_y = np.meshgrid(across, down)
@@ -152,12 +142,8 @@ def _solver(fields: NDArray[np.float32]) -> NDArray[np.float64]:
     flat = fields.reshape(MODES, -1)
     normal = BIN * BIN * np.asarray(flat @ flat.T, np.float64)
     # A frame without any contrast guides nothing: its solver gives zero for zero sums.
-    ridge = max(RIDGE * np.trace(normal[:JOINT, :JOINT]) / JOINT, 1e-12)
-    normal += ridge * np.eye(MODES)
-    solver = np.asarray(np.linalg.inv(normal), np.float64)
-    solver[:JOINT, :JOINT] = np.linalg.inv(normal[:JOINT, :JOINT])
-    solver[:JOINT, JOINT:] = 0.0
-    return solver
+    ridge = max(RIDGE * np.trace(normal) / MODES, 1e-12)
+    return np.asarray(np.linalg.inv(normal + ridge * np.eye(MODES)), np.float64)
 
 
 @njit(cache=True, nogil=True)
@@ -208,8 +194,8 @@ MAX_EMPTY_RUN: Final = 20
 STALE_GUIDE_US: Final = 500_000
 """A frame older than this is not used."""
 LIGHT_EVENTS: Final = 200
-"""Fewest events of a window far from the contact that can tell a change of light, and at it that
-can tell of slip just after."""
+"""Fewest events of a window far from the contact that can show a change of light, and at the
+contact that can show slip just after."""
 LIGHT_SHARE: Final = 0.8
 """Share of one sign over the other from which these events come from light."""
 LIGHT_RATIO: Final = (0.3, 5.0)
@@ -259,8 +245,6 @@ class SlipWindow:
         light: Whether its events may come from a change of light, in this window or just before.
         noise: Mean square of the translation that as many events at the same places would give with
             signs at random; the unit of `flow_x`, squared.
-        rotation: Rotation of the skin about the contact, from right to down [rad per contrast
-            threshold]; 0 where the events do not agree on it.
     """
 
     end_us: int
@@ -272,21 +256,20 @@ class SlipWindow:
     complete: bool
     light: bool = False
     noise: float = 0.0
-    rotation: float = 0.0
 
 
 class SlipFeatures:
     """Cuts an event stream into windows and computes their features.
 
     Args:
-        parameters: Width of a window, and where the contact is in the image.
+        parameters: Where the contact is in the image.
 
     Attributes:
         slicer: Counts what was late, skipped or restarted.
     """
 
     def __init__(self, parameters: SlipControlParameters) -> None:
-        self.slicer = WindowSlicer(parameters.window_us, max_empty_run=MAX_EMPTY_RUN)
+        self.slicer = WindowSlicer(WINDOW_US, max_empty_run=MAX_EMPTY_RUN)
         self._maker = GuideMaker(parameters)
         self._guide: FlowGuide | None = None
         self._size: tuple[int, int] | None = None
@@ -335,9 +318,9 @@ class SlipFeatures:
         self._guide = self._maker.make(image, frame_us)
 
     def contact_at(self, column: float, row: float) -> None:
-        """Set where the contact is in the image [px], unless parameters say; from the next frame.
+        """Set where the contact is in the image [px], unless the parameters do.
 
-        Ignored where it lies outside of the image.
+        The next frame uses it. A place outside of the image is ignored.
         """
         height, width = self._size or (0, 0)
         if 0.0 <= column < width and 0.0 <= row < height:
@@ -368,7 +351,7 @@ class SlipFeatures:
         window_sums(*places, fields, BIN, self._sums, self._squares, zones, self._signs)
         # A clock that starts anew must not leave it on.
         lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
-        motion, noise, rotation = self._sums, 0.0, 0.0
+        motion, noise = self._sums, 0.0
         if guide is not None and fresh:
             if is_light(self._signs, guide.bins):
                 self._light_until_us, lit = end_us + LIGHT_HOLD_US, True
@@ -376,8 +359,6 @@ class SlipFeatures:
             motion = -(guide.solver @ self._sums)
             noises = guide.solver**2 @ self._squares
             noise = float(noises[0] + noises[1])
-            if motion[3] ** 2 >= COHERENCE**2 * noises[3]:
-                rotation = float(motion[3]) / guide.reach
         return SlipWindow(
             end_us=end_us,
             count=len(events),
@@ -388,5 +369,4 @@ class SlipFeatures:
             complete=end_us - self.slicer.width_us >= self._lost_until_us,
             light=lit,
             noise=noise,
-            rotation=rotation,
         )

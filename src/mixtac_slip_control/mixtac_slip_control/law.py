@@ -1,247 +1,342 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""The advance law: how far the arm shall advance along the contact normal.
+r"""The advance laws: how far the arm shall advance along the contact normal.
 
-Section Closed loop Slip Control of the paper: :math:`\Delta d_t = k\,(N_t - N_{th})`. Here k is
-G / C, where C is events per metre of skin motion, so that G is a plain number: advance over motion
-of the skin. Added are a memory, because an object that slides over a fully stretched skin causes no
-more events (an excess is answered for some windows on while the slip lasts), a least answer where
-a slip makes few, and what protects arm, gel and object: a limit per window, a limit of the sum,
-a hold after each slip, and between slips a slow servo on the force, which takes back the advance
-that is no longer needed and makes up for relaxation of the gel.
+`PaperLaw` is the law of the paper (section Closed loop Slip Control): in a window with
+:math:`N_t > N_{th}` the arm advances by :math:`\Delta d_t = k\,(N_t - N_{th})`.
 
-`Advance` combines the law with the bound of the advance (`bounds`) and with the planner, which
-knows the commanded advance.
+`StepLaw` presses at enabling until the force is `grip_margin` times the force at enabling; gains of
+the sensor cancel in this ratio. On the way it learns the stiffness of the contact by least squares.
+At a slip it advances by one bounded step, holds, and returns slowly to the press.
+
+`AdvanceLaw.update` alone decides how far: no law passes the advance at which the force would reach
+`force_share` of `max_force` by the upper bound of the stiffness, nor `max_total`.
 """
 
 from __future__ import annotations
 
 import math
+from enum import Enum, auto
 from typing import Final
 
-from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.bounds import PRECISION, AdvanceBound
-from mixtac_slip_control.detectors import Detectors
-from mixtac_slip_control.grip import GripMargin
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.parameters import PAPER, WINDOW_S, SlipControlParameters
+
+STIFFEST: Final = 2e4
+"""Stiffest plausible contact of gel and object [N/m]: the bound before anything was measured."""
+PRIOR: Final = 1e4
+"""Stiffness before anything was measured [N/m]."""
+PRIOR_SD: Final = 5e3
+"""Its standard deviation [N/m]: two of them reach the stiffest."""
+FORCE_SD: Final = 0.03
+"""Standard deviation of a force at rest [N]."""
+SIGMAS: Final = 2.0
+"""Standard deviations by which the bound of the stiffness lies above its estimate."""
+RESERVE: Final = 1.25
+"""Stiffness of a fast step over that of a slow press, in which the gel relaxes."""
+PRECISE: Final = 0.1
+"""Relative standard deviation of the stiffness from which it counts as measured."""
+FOLLOW_SHARE: Final = 0.01
+"""Share of its difference by which the force at advance zero follows a measured force at rest, as
+the gel relaxes: 0.2 s at 500 Hz."""
+DRIFT: Final = 2e-6
+"""Variance by which the force at advance zero may change from one force to the next [N^2]."""
+
+
+class Contact:
+    """Force of the contact as f + k x over the advance x, by recursive least squares.
+
+    Attributes:
+        force: f, force at advance zero [N].
+        stiffness: k [N/m].
+        present: Expected force at the advance of the latest measured one [N].
+        seen: Forces that were used.
+    """
+
+    def __init__(self) -> None:
+        self.force = self.present = 0.0
+        self.seen = 0
+        self.restart(0.0)
+
+    def restart(self, advance: float) -> None:
+        """Count advances from here on, and forget the stiffness."""
+        if self.seen:
+            self.force = self.at(advance)
+        self.stiffness = PRIOR
+        self._ff, self._fk, self._kk = FORCE_SD**2, 0.0, PRIOR_SD**2
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the stiffness [N/m]."""
+        return math.sqrt(self._kk)
+
+    @property
+    def bound(self) -> float:
+        """Upper bound of the stiffness [N/m]."""
+        return max(min(RESERVE * self.stiffness + SIGMAS * self.deviation, STIFFEST), 1.0)
+
+    @property
+    def precise(self) -> bool:
+        """Whether the stiffness was measured well."""
+        return self.deviation <= PRECISE * self.stiffness
+
+    def at(self, advance: float) -> float:
+        """Return the expected force [N] at an advance [m]."""
+        return self.force + self.stiffness * advance
+
+    def reach(self, force_n: float, advance: float) -> float:
+        """Return the advance that is safe for a force [N], from an advance that was reached [m]."""
+        return advance + (force_n - self.at(advance)) / self.bound
+
+    def on_force(self, force_n: float, advance: float, spread: float, *, learn: bool) -> None:
+        """Use a force.
+
+        Args:
+            force_n: Normal force [N].
+            advance: Advance of the arm at its time [m].
+            spread: Standard deviation of that advance [m].
+            learn: Whether the stiffness is learned; else only the force at advance zero follows.
+        """
+        if not self.seen:
+            self.force = force_n
+        self.seen += 1
+        residual = force_n - self.at(advance)
+        if not learn:
+            self.force += FOLLOW_SHARE * residual
+            self.present = self.at(advance)
+            return
+        self._ff += DRIFT
+        noise = FORCE_SD**2 + (spread * self.bound) ** 2
+        by_f, by_k = self._ff + advance * self._fk, self._fk + advance * self._kk
+        variance = by_f + advance * by_k + noise
+        self.force += by_f / variance * residual
+        self.stiffness = max(self.stiffness + by_k / variance * residual, 1.0)
+        self.present = self.at(advance)
+        # Rounding must not make a variance negative.
+        self._ff = max(self._ff - by_f**2 / variance, 1e-8)
+        self._fk -= by_f * by_k / variance
+        self._kk = max(self._kk - by_k**2 / variance, 1.0)
+
+
+class PaperLaw:
+    """Advances by k (N_t - N_th) where N_t > N_th."""
+
+    def advance(self, count: int, threshold: float, gain: float) -> float:
+        """Return the advance of a window [m].
+
+        Args:
+            count: N_t, events in the window.
+            threshold: N_th.
+            gain: k [m].
+        """
+        return gain * (count - threshold) if count > threshold else 0.0
+
+
+class Phase(Enum):
+    """What `StepLaw` does."""
+
+    PRESS = auto()
+    """Presses towards `grip_margin`, and learns the stiffness."""
+    KEEP = auto()
+    """Keeps the force of the press."""
+    SLIP = auto()
+    """Answers a slip."""
+    HOLD = auto()
+    """Completes the answer where the stiffness allows more, and holds it."""
+    RETURN = auto()
+    """Returns to the force of the press."""
+
+
+PRESS_RATE: Final = 3.0
+"""Rate of the force while pressing [N/s], by the stiffness as it is known."""
+SLOWEST_PRESS: Final = 2e-4
+"""Least speed of the press [m/s]."""
+FASTEST_PRESS: Final = 1.5e-3
+"""Largest speed of the press [m/s]."""
+LONGEST_PRESS_S: Final = 1.0
+"""Time after which the press ends, whatever it has reached [s]."""
+KEEP_RATE: Final = 0.5
+"""Rate at which a force that has fallen is restored [N/s]."""
+FASTEST_KEEP: Final = 5e-4
+"""Largest speed of that advance [m/s]."""
+BAND: Final = 0.04
+"""Share by which the force may fall below the goal before it is restored."""
+SLIP_RATIO: Final = 1.4
+"""Least ratio of the force that answers a slip to the force at enabling."""
+PATIENCE_S: Final = 0.03
+"""Time of a slip after which its answer is raised, if the press has measured the stiffness [s]."""
+RAISE_RATE: Final = 5.0
+"""Rate of that raise [N/s], up to the usable force."""
+HOLD_S: Final = 0.3
+"""Time without slip for which the answer is held [s]."""
+RETURN_SPEED: Final = 2e-5
+"""Speed of the return [m/s]."""
+
+
+class StepLaw:
+    """Presses ahead, answers a slip by one bounded step, holds, and returns.
+
+    Args:
+        start: Force at enabling [N].
+
+    Attributes:
+        phase: Present phase.
+        goal: Force that it presses for or keeps [N].
+    """
+
+    def __init__(self, start: float) -> None:
+        self._start = self.goal = start
+        self._windows = 0
+        self._from = self._floor = self._answer = 0.0
+        self._raising = self._measured = False
+        self.phase = Phase.PRESS
+
+    def advance(
+        self, total: float, contact: Contact, p: SlipControlParameters, *, slipping: bool
+    ) -> float:
+        """Return the wanted advance since enabling [m].
+
+        Args:
+            total: Wanted advance so far [m].
+            contact: Force and stiffness.
+            p: Ratios and forces.
+            slipping: Whether the object slips.
+        """
+        self.goal = min(p.grip_margin * self._start, p.usable_force)
+        self._enter(self._next(slipping, contact.present, total), total, contact)
+        self._windows += 1
+        if self.phase in {Phase.SLIP, Phase.HOLD}:
+            # An object that slides over a stretched skin is no longer detected: the answer is
+            # completed as far as the measured stiffness allows.
+            if self.phase is Phase.SLIP:
+                late_s = max(self._windows * WINDOW_S - PATIENCE_S, 0.0)
+                rise = RAISE_RATE * late_s if self._measured else 0.0
+                self._answer = max(p.slip_force, SLIP_RATIO * self._start) + rise
+            return max(total, contact.reach(min(self._answer, p.usable_force), self._from))
+        if self.phase is Phase.PRESS:
+            speed = PRESS_RATE / contact.stiffness
+            return total + WINDOW_S * min(max(speed, SLOWEST_PRESS), FASTEST_PRESS)
+        if self.phase is Phase.KEEP:
+            # Once the force is raised, it comes up to the goal, not to the edge of the band.
+            edge = self.goal if self._raising else (1.0 - BAND) * self.goal
+            self._raising = contact.present < edge
+            speed = min(KEEP_RATE / contact.stiffness, FASTEST_KEEP) if self._raising else 0.0
+            return total + WINDOW_S * speed
+        if self.phase is Phase.RETURN:
+            return max(total - WINDOW_S * RETURN_SPEED, min(self._floor, total))
+        return total
+
+    def _next(self, slipping: bool, force: float, total: float) -> Phase:
+        if slipping:
+            return Phase.SLIP
+        elapsed_s = self._windows * WINDOW_S
+        if self.phase is Phase.SLIP:
+            return Phase.HOLD
+        if self.phase is Phase.PRESS and (force >= self.goal or elapsed_s >= LONGEST_PRESS_S):
+            return Phase.KEEP
+        if self.phase is Phase.HOLD and elapsed_s >= HOLD_S:
+            return Phase.RETURN
+        if self.phase is Phase.RETURN and (force <= self.goal or total <= self._floor):
+            return Phase.KEEP
+        return self.phase
+
+    def _enter(self, phase: Phase, total: float, contact: Contact) -> None:
+        if phase is self.phase:
+            return
+        if phase is Phase.SLIP:
+            self._from, self._measured = total, contact.precise
+            if self.phase is Phase.RETURN:
+                self._floor = total  # a return that led to a slip is not repeated
+        self.phase, self._windows = phase, 0
 
 
 class AdvanceLaw:
-    """Turns windows into a wanted advance, within limits that hold for every input.
+    """Owns the wanted advance: runs the chosen law within the bound of the force.
 
     Args:
-        parameters: Gain and limits.
+        parameters: Law, ratios and limits.
 
     Attributes:
-        total: Wanted advance since the last reset [m], 0 to the limit after each window.
+        contact: Force and stiffness of the contact.
+        total: Wanted advance since enabling [m].
+        limit: Largest advance in the latest window [m].
+        step: The law `step`.
     """
 
     def __init__(self, parameters: SlipControlParameters) -> None:
-        self.configure(parameters)
-        self.reset()
+        self._parameters = parameters
+        self.contact = Contact()
+        self.total = self.limit = 0.0
+        self.step = StepLaw(0.0)
+        self._paper = PaperLaw()
+
+    @property
+    def pressing(self) -> bool:
+        """Whether the press after enabling is under way."""
+        return self._parameters.law != PAPER and self.step.phase is Phase.PRESS
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters from the next window on."""
         self._parameters = parameters
-        self._per_event = parameters.gain / (1e3 * parameters.events_per_mm)
-        windows = parameters.memory_time / parameters.window
-        self._fade = math.exp(-1.0 / windows) if windows > 0.0 else 0.0
 
-    def reset(self, preload: float | None = None) -> None:
-        """Start over at the present position.
+    def start(self, advance: float) -> None:
+        """Start over at advance zero.
 
         Args:
-            preload: Normal force to keep between slips [N]; None keeps none.
-        """
-        self.total = self._floor = 0.0
-        self._preload = preload
-        p = self._parameters
-        self._speed, self._least = p.preload_speed, 0.0
-        # There is no slip whose advance is to be held.
-        self._held = p.windows(p.hold_time)
-        self._excess = 0.0
-        self._backing_off = self._raising = False
-
-    def update(
-        self, count: int, threshold: float, force: float | None, limit: float, *, slipping: bool
-    ) -> float:
-        """Return the advance of a window [m].
-
-        It is negative only while backing off, or where the limit has fallen below the total.
-
-        Args:
-            count: Events in the window, N_t.
-            threshold: N_th.
-            force: Normal force [N], None where none is known.
-            limit: Largest total [m].
-            slipping: Whether the object slips.
-        """
-        before = self.total
-        wanted = self._on_slip(count, threshold) if slipping else self._at_rest(force)
-        self.total = min(max(before + wanted, 0.0), max(limit, 0.0))
-        return self.total - before
-
-    def aim(self, force: float, stiffness: float) -> None:
-        """Keep another force between slips [N], on a contact of a stiffness [N/m]."""
-        p = self._parameters
-        self._preload = force
-        self._speed = min(p.preload_rate / max(stiffness, 1.0), p.preload_speed)
-        # Counts above the threshold of the paper's law are what it knows slip by.
-        rate = p.slip_rate if p.detector == 'flow' else 0.0
-        self._least = rate / max(stiffness, 1.0) * p.window
-
-    def add(self, advance: float) -> None:
-        """Take over an advance [m] >= 0 made for another reason."""
-        self.total += max(advance, 0.0)
-
-    def _on_slip(self, count: int, threshold: float) -> float:
-        """Return the paper's advance; a return that led to slip is not repeated."""
-        if self._backing_off:
-            self._floor = self.total
-            self._backing_off = False
-        self._held = 0
-        p = self._parameters
-        self._excess = max(count - threshold, self._fade * self._excess, 0.0)
-        return min(max(self._per_event * self._excess, self._least), p.max_step)
-
-    def _at_rest(self, force: float | None) -> float:
-        p = self._parameters
-        self._excess = 0.0
-        self._held += 1
-        if self._held <= p.windows(p.hold_time) or force is None or self._preload is None:
-            return 0.0
-        excess = force - self._preload
-        # Once it is raised, the force comes up to the preload, not to the edge of the band.
-        self._raising = excess < (0.0 if self._raising else -p.force_band)
-        if self._raising:
-            return self._speed * p.window
-        if excess > p.force_band and p.back_off > 0.0:
-            room = self.total - self._floor
-            self._backing_off = self._backing_off or room > 0.0
-            return -min(p.back_off * p.window, max(room, 0.0))
-        return 0.0
-
-
-MAX_AGE_S: Final = 0.2
-"""Older forces count as this old [s]: the planner does not remember advances for longer."""
-
-
-class Advance:
-    """Decides how far the arm shall be.
-
-    Args:
-        parameters: Of law and bound.
-        planner: Knows the commanded advance.
-        grip: Knows the force that the grasp needs.
-
-    Attributes:
-        bound: How far the arm may advance.
-        limit: Largest advance in the latest window [m].
-    """
-
-    def __init__(
-        self, parameters: SlipControlParameters, planner: AdvancePlanner, grip: GripMargin
-    ) -> None:
-        self._planner = planner
-        self._law = AdvanceLaw(parameters)
-        self.bound = AdvanceBound(parameters)
-        self._grip = grip
-        self.limit = self._preload = 0.0
-        self._settles = False
-        self._window: tuple[int, float] | None = None
-        self.configure(parameters)
-
-    @property
-    def total(self) -> float:
-        """Wanted advance since the start [m]."""
-        return self._law.total + self.bound.probe.advance
-
-    def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other parameters from the next window on."""
-        self._lag_s, self._window_s = parameters.arm_lag, 1e-6 * parameters.window_us
-        self._law.configure(parameters)
-        self.bound.configure(parameters)
-
-    def start(self) -> None:
-        """Start over, with the planner at advance zero.
+            advance: Advance that the arm has at present, from the start before [m].
 
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
-        self._settles = False
-        self._preload, self.limit = self.bound.start()
-        self._law.reset(self._preload)
-
-    def on_window(self, end_us: int, now_s: float) -> None:
-        """Record when a window that ends at `end_us` [us] of the camera clock arrived [s]."""
-        self._window = (end_us, now_s)
+        p = self._parameters
+        self.contact.restart(advance)
+        force = self.contact.force
+        if force >= p.usable_force:
+            raise SlipControlError(
+                f'the force is {force:.2f} N already, and slip control may use '
+                f'{p.usable_force:.2f} N (force_share {p.force_share:g} of max_force '
+                f'{p.max_force:g} N)',
+                remedy='grasp less firmly, or raise max_force or force_share',
+            )
+        self.total = self.limit = 0.0
+        self.step = StepLaw(force)
 
     def on_force(
-        self,
-        force_n: float,
-        stamp_us: int,
-        now_s: float,
-        deviation: float = 0.0,
-        *,
-        calm: bool = True,
-    ) -> float:
-        """Learn from what the sensor measures; return the upper bound of the normal force [N].
+        self, force_n: float, advance: float, spread: float, *, calm: bool, enabled: bool
+    ) -> None:
+        """Learn the contact from a force.
 
         Args:
             force_n: Normal force [N].
-            stamp_us: Its time, camera clock [us].
-            now_s: Host time of its arrival [s].
-            deviation: Standard deviation of the force [N]; 0 of one that is only noisy.
-            calm: Whether there was no slip for a while.
+            advance: Advance of the arm at its time [m].
+            spread: Standard deviation of that advance [m].
+            calm: Whether there was no slip for a while. Forces of a slip do not change a contact
+                that was measured well: a tactile sensor underestimates the force of a fast press.
+            enabled: Whether the arm may move.
         """
-        age = 0.0
-        if self._window is not None:
-            end_us, arrived_s = self._window
-            age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
-        at = now_s - min(max(age, 0.0), MAX_AGE_S)
-        then = self._planner.advance_at(at), self._planner.advance_at(at - 2.0 * self._lag_s)
-        reach = min(then), max(then)
-        # A tactile sensor tells little of a fast press, and frames need some time to correct it.
-        if calm or not deviation:
-            self.bound.stiffness.on_force(force_n, stamp_us, reach)
-        return self.bound.upper(force_n, deviation, reach, calm=calm)
-
-    def commanded_motion(self, now_s: float) -> float:
-        """Return how far the arm was commanded to move in the window that ends now [m]."""
-        end = now_s - self._lag_s
-        return self._planner.advance_at(end) - self._planner.advance_at(end - self._window_s)
+        learn = enabled and not self.contact.precise
+        if calm or learn:
+            self.contact.on_force(force_n, advance, spread, learn=learn)
 
     def update(
-        self, count: int, detectors: Detectors, force_n: float | None, now_s: float
+        self, count: int, threshold: float, advance: float, force: float, *, slipping: bool
     ) -> float:
         """Return the change of the wanted advance by a window [m].
 
         Args:
             count: Events in the window.
-            detectors: Their decision on it.
-            force_n: Latest normal force [N], None before the first.
-            now_s: Host time [s].
+            threshold: N_th of the paper's law.
+            advance: Advance that is commanded now [m].
+            force: Latest measured normal force [N].
+            slipping: Whether the object slips.
         """
-        before = self.total
-        stiffness, probe = self.bound.stiffness, self.bound.probe
-        limit = self.bound.limit(self._planner.advance_at(now_s), force_n)
-        if detectors.slipping:
-            self.bound.on_slip()
-            self._law.add(probe.take_over())
-        probing, wanted = probe.active, self._grip.wanted(self._preload)
-        probe.update(stiffness.stiffness, stiffness.deviation, limit - self._law.total)
-        if probe.active and probe.measured and wanted > stiffness.present:
-            # The margin needs this press anyway.
-            self._law.add(probe.take_over())
-        self._settles |= probing and not probe.active
-        precise = stiffness.deviation <= PRECISION * stiffness.stiffness
-        if self._settles and (precise or detectors.slipping):
-            # Until then, what keeps or raises the force teaches more than the probe did.
-            stiffness.settle()
-            self._settles = False
-        force = None if probe.active else stiffness.present
-        self._law.aim(wanted, stiffness.stiffness)
-        room = limit - probe.advance
-        self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
-        self.limit = max(limit, 0.0)
+        p, before = self._parameters, self.total
+        if p.law == PAPER:
+            wanted = before + self._paper.advance(count, threshold, p.gain)
+        else:
+            wanted = self.step.advance(before, self.contact, p, slipping=slipping)
+        # The bound makes the arm wait, not retreat: a noisy force must not move it.
+        reach = self.contact.reach(p.usable_force, 0.0) if force < p.usable_force else advance
+        self.limit = max(min(reach, p.max_total), min(before, p.max_total), 0.0)
+        self.total = min(max(wanted, 0.0), self.limit)
         return self.total - before

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interlock and watchdogs: when the arm may follow slip.
 
-The interlock is off at start, on by request, and latches the first fault. The watch knows how old
-each input is and which limits hold. Neither is a safety-rated function: the robot's own limits, its
-protective stop and the emergency stop remain what keeps people safe.
+The interlock is off at start, on by request, and latches the first fault. The watch measures the
+age of each input and checks the limits. Neither is a safety-rated function: the robot's own limits,
+its protective stop and the emergency stop remain what keeps people safe.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Final
 
+from mixtac_slip_control.arm.following import MAX_JOINT_AGE_S
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipWindow
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import PAPER, SlipControlParameters
 
 
 class InterlockState(IntEnum):
@@ -88,6 +89,23 @@ FORCE: Final = 'force'
 JOINTS: Final = 'joint states'
 HEARTBEAT: Final = 'heartbeat'
 FRAMES: Final = 'frames'
+MAX_AGE_S: Final = {
+    EVENTS: 0.02,
+    FORCE: 0.05,
+    JOINTS: MAX_JOINT_AGE_S,
+    HEARTBEAT: 0.5,
+    FRAMES: 0.25,
+}
+"""Age of each input above which slip control stops [s]."""
+MIN_CONTRAST: Final = 0.02
+"""Smallest contrast of the picture at the contact in which the flow detector sees slip [1/px]: root
+mean square gradient of the log intensity."""
+MIN_FORCE: Final = 0.03
+"""Mean force below which the contact counts as lost [N]."""
+CONTACT_LOSS_S: Final = 0.05
+"""Time over which the force is averaged for it [s]."""
+SATURATION_COUNT: Final = 8000
+"""Events in a window from which the sensor counts as saturated."""
 SATURATED_WINDOWS: Final = 2
 """Saturated windows in a row that stop."""
 LOST_WINDOWS: Final = 5
@@ -95,13 +113,11 @@ LOST_WINDOWS: Final = 5
 LIGHT_WINDOWS: Final = 200
 """Windows made by light, less the others, that stop: slip is not seen in them."""
 ABSURD_FORCES: Final = 1e3
-"""Force, or its deviation, over `max_force` above which it is no number."""
+"""Force over `max_force` above which it is refused as a measurement."""
 LATE_AGES: Final = 2.0
 """Delay of the events over its least from which they are late, over their largest age."""
 FORGET_S: Final = 5.0
 """Time over which the least delay is forgotten [s]: the clocks of host and camera drift apart."""
-ENABLING_S: Final = 0.1
-"""Longest time that inputs wait while enabling computes the path of the arm [s]."""
 
 
 class SafetyWatch:
@@ -116,7 +132,6 @@ class SafetyWatch:
 
     Attributes:
         force: Latest normal force [N], None before the first.
-        upper: Upper bound of it, which is held below `max_force` [N]; the force itself unless set.
         joints: Latest joint positions [rad], None before the first.
     """
 
@@ -128,7 +143,6 @@ class SafetyWatch:
         self._parameters = parameters
         self._check_state = check_state
         self.force: float | None = None
-        self.upper: float | None = None
         self.joints: tuple[float, ...] | None = None
         self._arrived: dict[str, float] = {}
         self._wrong: dict[str, str] = {}
@@ -139,7 +153,6 @@ class SafetyWatch:
         self._force_stamp_us: int | None = None
         self._end_us = -1
         self._least_s = self._late_s = 0.0
-        self._waits_until_s = -math.inf
         self._untrusted = ''
 
     def configure(self, parameters: SlipControlParameters) -> None:
@@ -148,7 +161,7 @@ class SafetyWatch:
 
     def on_window(self, window: SlipWindow, now_s: float) -> None:
         """Record a window that was closed now."""
-        full = window.count >= self._parameters.saturation_count
+        full = window.count >= SATURATION_COUNT
         self._saturated = self._saturated + 1 if full else 0
         self._lost = 0 if window.complete else self._lost + 1
         self._unguided = 0 if window.guided else self._unguided + 1
@@ -160,8 +173,6 @@ class SafetyWatch:
         self._least_s = min(delay_s, self._least_s + forgotten * (delay_s - self._least_s))
         self._late_s, self._end_us = delay_s - self._least_s, window.end_us
         self._arrived[EVENTS] = now_s
-        if self._late_s <= self._parameters.max_events_age:
-            self._waits_until_s = -math.inf
 
     def on_frame(self, stamp_us: int, contrast: float, now_s: float) -> None:
         """Record a frame with its stamp, camera clock [us], and its contrast [1/px]."""
@@ -170,24 +181,23 @@ class SafetyWatch:
         self._frame_us, self._contrast = stamp_us, contrast
         self._arrived[FRAMES] = now_s
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float, deviation: float = 0.0) -> bool:
-        """Record a force, its stamp on the camera clock [us] and its standard deviation [N].
+    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> bool:
+        """Record a force [N] and its stamp on the camera clock [us].
 
         Returns:
             Whether it is a new one.
         """
-        most = ABSURD_FORCES * self._parameters.max_force
-        if not (abs(force_n) <= most and abs(deviation) <= most):
-            self._wrong[FORCE] = f'force is {force_n} N with a deviation of {deviation} N'
+        if not abs(force_n) <= ABSURD_FORCES * self._parameters.max_force:
+            self._wrong[FORCE] = f'force is {force_n} N'
             return False
         if self._force_stamp_us is not None and stamp_us == self._force_stamp_us:
             return False  # a repeated message shows no new measurement
         self._wrong.pop(FORCE, None)
         self._force_stamp_us = stamp_us
-        self.force = self.upper = force_n
+        self.force = force_n
         age = self.age(FORCE, now_s)
         self._arrived[FORCE] = now_s
-        keep = math.exp(-max(age, 0.0) / self._parameters.contact_loss_time)
+        keep = math.exp(-max(age, 0.0) / CONTACT_LOSS_S)
         mean = force_n if self._mean_force is None else self._mean_force
         self._mean_force = force_n + keep * (mean - force_n)
         return True
@@ -213,10 +223,6 @@ class SafetyWatch:
         """Record a heartbeat of the supervisor."""
         self._arrived[HEARTBEAT] = now_s
 
-    def on_enabling(self, now_s: float) -> None:
-        """Let inputs be late for a moment: they wait while enabling computes the path."""
-        self._waits_until_s = now_s + ENABLING_S
-
     def age(self, name: str, now_s: float) -> float:
         """Return how long ago an input arrived [s], infinite before the first time."""
         arrived = self._arrived.get(name)
@@ -224,7 +230,7 @@ class SafetyWatch:
 
     def trusts_force(self, now_s: float) -> bool:
         """Return whether the latest force is valid and not too old."""
-        fresh = abs(self.age(FORCE, now_s)) <= self._parameters.max_force_age
+        fresh = abs(self.age(FORCE, now_s)) <= MAX_AGE_S[FORCE]
         return fresh and not self._untrusted and FORCE not in self._wrong
 
     def fault(self, now_s: float) -> str | None:
@@ -234,73 +240,68 @@ class SafetyWatch:
         return self._stale(now_s) or self._limits() or self._unseen()
 
     def _stale(self, now_s: float) -> str | None:
-        p = self._parameters
         if not math.isfinite(now_s):
             return f'the host time is {now_s}'
-        allowed = (
-            (EVENTS, p.max_events_age),
-            (FORCE, p.max_force_age),
-            (JOINTS, p.max_joint_age),
-            (HEARTBEAT, p.max_heartbeat_age),
-            *(((FRAMES, p.max_frame_age),) if p.detector == 'flow' else ()),
-        )
-        wait_s = ENABLING_S if now_s < self._waits_until_s else 0.0
-        for name, limit in allowed:
+        for name, limit in MAX_AGE_S.items():
+            if name == FRAMES and self._by_count:
+                continue
             if name in self._wrong:
                 return self._wrong[name]
             age = self.age(name, now_s)
             if math.isinf(age):
                 return f'no {name} so far'
-            if not -limit <= age <= limit + wait_s:
+            if not -limit <= age <= limit:
                 return f'{name} {age * 1e3:.0f} ms old, {limit * 1e3:.0f} ms allowed'
-        return self._behind(wait_s)
+        return self._behind()
 
-    def _behind(self, wait_s: float) -> str | None:
+    def _behind(self) -> str | None:
         """Return which inputs come regularly but are old, or None."""
-        p = self._parameters
-        limit = LATE_AGES * p.max_events_age
-        if not self._late_s <= limit + wait_s:
+        limit = LATE_AGES * MAX_AGE_S[EVENTS]
+        if not self._late_s <= limit:
             return (
                 f'events are taken {self._late_s * 1e3:.0f} ms late, {limit * 1e3:.0f} ms '
                 'allowed: lower the load of this host'
             )
         apart_s = 1e-6 * (self._end_us - (self._force_stamp_us or 0))
-        limit = p.max_force_age + p.max_events_age
-        if not abs(apart_s) <= limit + wait_s:
+        limit = MAX_AGE_S[FORCE] + MAX_AGE_S[EVENTS]
+        if not abs(apart_s) <= limit:
             return (
                 f'force and events are {abs(apart_s) * 1e3:.0f} ms apart, {limit * 1e3:.0f} ms '
                 'allowed: the estimate is late, or its stamps are not of the clock of the camera'
             )
         return None
 
+    @property
+    def _by_count(self) -> bool:
+        return self._parameters.law == PAPER
+
     def _limits(self) -> str | None:
-        p = self._parameters
         if self._saturated >= SATURATED_WINDOWS:
             return (
-                f'the sensor is saturated: {p.saturation_count} events or more in '
+                f'the sensor is saturated: {SATURATION_COUNT} events or more in '
                 f'{self._saturated} windows in a row'
             )
         if self._lost >= LOST_WINDOWS:
             return f'event packets are missing in {self._lost} windows in a row'
-        if self._mean_force is not None and self._mean_force < p.min_force:
+        if self._mean_force is not None and self._mean_force < MIN_FORCE:
             return (
-                f'contact lost: the mean force of {self._mean_force:.2f} N is below min_force '
-                f'{p.min_force:.2f} N'
+                f'contact lost: the mean force of {self._mean_force:.2f} N is below '
+                f'{MIN_FORCE:.2f} N'
             )
-        if self.upper is not None and self.upper > p.max_force:
-            return f'force {self.upper:.2f} N is above max_force {p.max_force:.2f} N'
+        most = self._parameters.max_force
+        if self.force is not None and self.force > most:
+            return f'force {self.force:.2f} N is above max_force {most:.2f} N'
         return None
 
     def _unseen(self) -> str | None:
         """Return why slip could not be seen, or None."""
-        p = self._parameters
-        if p.detector == 'flow':
+        if not self._by_count:
             if self._unguided >= LOST_WINDOWS:
                 return 'the latest frame is not of the time of the events, or of another size'
-            if self._contrast < p.min_contrast:
+            if self._contrast < MIN_CONTRAST:
                 return (
                     f'the picture at the contact has a contrast of {self._contrast:.3f} per px, '
-                    f'below min_contrast {p.min_contrast:g}: slip of it cannot be seen'
+                    f'below {MIN_CONTRAST:g}: slip cannot be seen in it'
                 )
         if self._light >= LIGHT_WINDOWS:
             return 'the light changes all over the picture: slip cannot be seen'

@@ -3,7 +3,7 @@
 """Watches events for slip, publishes `slip`, and streams trajectories that advance the arm.
 
 Everything happens in the callback of the event packet: no timer lies between an event and the
-trajectory that answers it. The node starts disabled. This is not a safety-rated function.
+trajectory that answers it. The node starts disabled. It is not a safety-rated function.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import dataclasses
 import importlib
 import math
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
+from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Empty, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
@@ -31,13 +33,17 @@ from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_slip_control.arm.following import MAX_SAG_RAD
 from mixtac_slip_control.arm.model import (
+    CONTINUES,
+    SAFE_SETTINGS,
     TRAJECTORY,
     ArmBackend,
     ArmParts,
     TrajectoryBackend,
     make_arm,
     open_backend,
+    unsafe_setting,
 )
 from mixtac_slip_control.arm.trajectory import (
     PlannedTrajectory,
@@ -45,10 +51,11 @@ from mixtac_slip_control.arm.trajectory import (
     settling_trajectory,
 )
 from mixtac_slip_control.controller import SlipController, SlipStep
-from mixtac_slip_control.errors import BackendError
-from mixtac_slip_control.grip import GripperGoal
+from mixtac_slip_control.detectors import LEARNING_S
+from mixtac_slip_control.errors import BackendError, SlipControlError
+from mixtac_slip_control.gripper import GripperGoal
 from mixtac_slip_control.parameters import SlipControlParameters
-from mixtac_slip_control.safety import EVENTS, FORCE, FRAMES, HEARTBEAT, JOINTS, InterlockState
+from mixtac_slip_control.safety import MAX_AGE_S, InterlockState
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 REASONS = {
@@ -61,84 +68,12 @@ WATCH_PERIOD_S = 5e-3
 """Period of the watchdogs while nothing arrives [s]."""
 STATE_PERIOD_S = 0.1
 """Period of `slip` while no window arrives [s]."""
-
-
-AGES: Final = (EVENTS, FRAMES, FORCE, JOINTS, HEARTBEAT)
-
-
-@dataclasses.dataclass(slots=True)
-class FeedCounts:
-    """Messages of the node, in and out.
-
-    Attributes:
-        packets: Event packets received and missing, by their sequence numbers.
-        refused: Messages that could not be read.
-        problem: Why the latest of them could not, empty if there was none.
-        windows: Slip states published.
-        trajectories: Trajectories sent to the arm.
-    """
-
-    packets: SequenceCounter = dataclasses.field(default_factory=SequenceCounter)
-    refused: int = 0
-    problem: str = ''
-    windows: int = 0
-    trajectories: int = 0
-
-
-def node_status(
-    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
-) -> tuple[int, str, dict[str, object]]:
-    """Return level, a one-line summary, and figures by name.
-
-    Args:
-        controller: The controller.
-        counts: Messages of the node.
-        latest: Result of the latest window, None before the first.
-        now_s: Host time [s].
-    """
-    slicer = controller.features.slicer
-    values: dict[str, object] = {
-        'state': controller.interlock.state.name.lower(),
-        'packets': counts.packets.received,
-        'lost packets': counts.packets.lost,
-        'unreadable messages': counts.refused,
-        'windows': counts.windows,
-        'skipped windows': slicer.skipped_windows,
-        'late events': slicer.late_events,
-        'clock restarts': slicer.restarts,
-        'trajectories': counts.trajectories,
-        'refused plans': controller.refused_plans,
-        'advance limit [m]': controller.advance_limit,
-    }
-    for name in AGES:
-        age = controller.watch.age(name, now_s)
-        values[f'{name} age [s]'] = age if math.isfinite(age) else 'never'
-    values['contrast [1/px]'] = controller.features.contrast
-    if controller.following is not None:
-        values['transport [ms]'] = 1e3 * controller.following.transport_s
-    if latest is not None:
-        values |= {
-            'count threshold [events]': latest.threshold,
-            'flow threshold [px]': latest.flow_threshold,
-            'total advance [m]': latest.total_advance,
-        }
-    return *_summary(controller, counts, latest, now_s), values
-
-
-def _summary(
-    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
-) -> tuple[int, str]:
-    if controller.interlock.state is InterlockState.STOPPED:
-        return ERROR, f'stopped: {controller.interlock.reason}'
-    if latest is None:
-        problem = counts.problem or 'check that the driver runs'
-        return WARN, f'no events yet: {problem}'
-    if not controller.detectors.learned:
-        return WARN, 'learning the background: keep the contact still'
-    if controller.enabled:
-        return OK, 'enabled'
-    reason = controller.reason(now_s)
-    return OK, f'watching; cannot be enabled: {reason}' if reason else 'watching; ready'
+SETTINGS_PERIOD_S = 1.0
+"""Period at which the parameters of the arm's controller are read [s]."""
+SETTINGS = (*CONTINUES, *SAFE_SETTINGS)
+"""Parameters of the arm's controller that are read."""
+FRAME_ID = 'mixtac_contact'
+"""Frame of `slip`: z points from the contact into the gel."""
 
 
 class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
@@ -150,50 +85,51 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
         with self._diagnostics.compiling('the packet codec'):
             warm_up()
-        with self._diagnostics.compiling('the planner'):
-            arm = self._arm = make_arm(p)
+        arm = self._arm = make_arm(p)
         self._controller = (
             SlipController(p)
             if arm is None
             else SlipController(p, arm.planner, arm.normal, arm.check)
         )
-        self._latest: SlipStep | None = None
-        self._counts = FeedCounts()
+        self._packets = SequenceCounter()
+        self._refused = self._windows = self._trajectories = 0
+        self._problem = 'check that the driver runs'
         self._moving = False
+        self._settings_client: Any = None
+        self._settings_read = False
         with self._diagnostics.compiling(PICTURE_KERNELS):
             self._controller.features.warm_up()
         self._backend = None if arm is None else self._open_backend(arm)
         self._arm_stamp_s: float | None = None
         self._slip = self.publish_topic(topics.SLIP)
-        self._gripper = GripperGoal(p, self._controller.grip)
+        self._gripper = GripperGoal()
         self._grip = None if p.gripper == 'none' else self.publish_topic(topics.GRIP)
         self._message = SlipState()
-        self._message.header.frame_id = p.frame_id
+        self._message.header.frame_id = FRAME_ID
         self.create_service(SetBool, '~/enable', answering(self._on_enable))
         self.create_service(Trigger, '~/reset', answering(self._on_reset))
         self.create_service(Trigger, '~/tare', answering(self._on_tare))
         self.subscribe_topic(topics.EVENTS, self._on_events, raw=True)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
         self.subscribe_topic(topics.FORCE, self._on_force)
-        if max(p.contact_column, p.contact_row) < 0.0:
+        if p.contact_place is None:
             self.subscribe_topic(topics.CONTACT, self._on_contact)
         self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
-        self._told = 0
-        self._deviation, self._pull_known = 0.0, False
-        self.create_timer(STATE_PERIOD_S, self._tell)
+        self._reported = 0
+        self.create_timer(STATE_PERIOD_S, self._report)
 
     def _open_backend(self, arm: ArmParts) -> ArmBackend:
         p = self._settings
-        if p.backend != TRAJECTORY:
+        if p.arm_backend != TRAJECTORY:
             if self.get_parameter('use_sim_time').value:
                 raise BackendError(
-                    f'the arm backend {p.backend} runs on the clock of the host',
+                    f'the arm backend {p.arm_backend} runs on the clock of the host',
                     remedy='set use_sim_time to false',
                 )
             return open_backend(p, arm.arm)
-        publisher = self.create_publisher(JointTrajectory, p.trajectory_topic, 10)
+        publisher = self.create_publisher(JointTrajectory, f'{p.controller}/joint_trajectory', 10)
         backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(serialised(t)))
 
         def on_joints(joints: JointState) -> None:
@@ -203,20 +139,19 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
                 self._brake()
 
         self.create_subscription(JointState, p.joint_state_topic, on_joints, QOS_SENSOR)
-        if p.controller_state_topic != 'none':
-            self._listen_to_controller(backend, p.controller_state_topic)
+        self._listen_to_controller(backend)
+        self._settings_client = self.create_client(GetParameters, f'{p.controller}/get_parameters')
+        self.create_timer(SETTINGS_PERIOD_S, self._read_settings)
         return backend
 
-    def _listen_to_controller(self, backend: TrajectoryBackend, topic: str) -> None:
-        """Read what the controller commands, where its messages are installed."""
-        if self._controller.following is not None:
-            self._controller.following.needs_commands = True
+    def _listen_to_controller(self, backend: TrajectoryBackend) -> None:
+        """Read the commanded positions, where the messages are installed."""
+        topic = f'{self._settings.controller}/controller_state'
         try:
             messages = importlib.import_module('control_msgs.msg')
         except ImportError:
             self.get_logger().warning(
-                f'control_msgs is not installed: {topic} cannot be read. Install it, or do without '
-                'by controller_state_topic none'
+                f'control_msgs is not installed: {topic} cannot be read. Install it'
             )
             return
 
@@ -231,26 +166,41 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         kind = messages.JointTrajectoryControllerState
         self.create_subscription(kind, topic, on_state, QOS_SENSOR)
 
+    def _read_settings(self) -> None:
+        """Ask the arm's controller for its parameters, and whether it reports its state."""
+        following, client = self._controller.following, self._settings_client
+        topic = f'{self._settings.controller}/controller_state'
+        if following is not None and self.count_publishers(topic):
+            following.needs_commands = True
+        if client is None or self._controller.enabled or not client.service_is_ready():
+            return
+
+        def on_answer(future: Any) -> None:  # noqa: ANN401
+            values = [parameter_value_to_python(value) for value in future.result().values]
+            self._controller.unsafe = unsafe_setting(dict(zip(SETTINGS, values, strict=False)))
+            self._settings_read = True
+
+        client.call_async(GetParameters.Request(names=list(SETTINGS))).add_done_callback(on_answer)
+
     def _stamp_s(self, header: Header) -> float:
         """Return the time of a message [s]; now if it has none."""
         return 1e-9 * stamp_to_ns(header.stamp) or self._now_s()
 
     def close(self) -> None:
-        """Let a gripper close no further; bring the arm to rest and release it."""
+        """Stop a closing gripper, bring the arm to rest, and release it."""
         self._ask_gripper(None)
         if self._backend is not None:
             self._backend.stop()
 
     def _apply(self, parameters: SlipControlParameters) -> None:
         self._controller.configure(parameters)
-        self._gripper.configure(parameters)
         self._settings = parameters
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
 
     def _on_events(self, data: bytes | OwnPacket) -> None:
-        """Take a packet: bytes from the middleware, a packet from within the process."""
+        """Process a packet: bytes from the middleware, a packet from within the process."""
         try:
             message = read_packet(data) if isinstance(data, bytes) else data
             packet = decode_message(message)
@@ -258,11 +208,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self._refuse(str(error))
             return
         now_s = self._now_s()
-        packets = self._counts.packets
-        packets.update(message.seq)
+        self._packets.update(message.seq)
         self._controller.features.resize(message.width, message.height)
         steps = self._controller.on_events(
-            packet.events, packet.complete_until, now_s, lost=not packets.continuous
+            packet.events, packet.complete_until, now_s, lost=not self._packets.continuous
         )
         for step in steps:
             self._publish(step)
@@ -271,8 +220,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._brake()
 
     def _refuse(self, problem: str) -> None:
-        self._counts.refused += 1
-        self._counts.problem = problem
+        self._refused += 1
+        self._problem = problem
         self.get_logger().warning(problem, throttle_duration_sec=5.0)
 
     def _on_image(self, message: Image) -> None:
@@ -284,14 +233,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_force(self, message: topics.ForceMessage) -> None:
         stamp_us = stamp_to_us(message.header.stamp)
-        across = message.wrench.force
-        self._controller.on_force(
-            topics.normal_force(message),
-            stamp_us,
-            self._now_s(),
-            deviation=self._deviation,
-            pull_n=math.hypot(across.x, across.y) if self._pull_known else None,
-        )
+        self._controller.on_force(topics.normal_force(message), stamp_us, self._now_s())
         self._brake()
 
     def _on_contact(self, message: Contact) -> None:
@@ -299,9 +241,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self._controller.features.contact_at(message.column, message.row)
 
     def _on_quality(self, message: ForceQuality) -> None:
-        # The quality of a force has its stamp, and comes with it: at most one window too late.
-        self._deviation = max(message.deviation, 0.0)
-        self._pull_known = message.sideways_known
+        # The quality of a force has its stamp and arrives with it: at most one window too late.
         untrusted = '' if message.valid else REASONS.get(message.reason, 'unknown reason')
         self._controller.on_quality(untrusted, self._now_s())
         self._brake()
@@ -318,7 +258,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._brake()
 
     def _read_arm(self) -> None:
-        """Hand a new state of the arm to the controller; a fault of the arm stops."""
+        """Pass a new state of the arm to the controller; a fault of the arm stops slip control."""
         if self._backend is None:
             return
         try:
@@ -329,8 +269,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         if state is not None and state.stamp_s != self._arm_stamp_s:
             self._arm_stamp_s = state.stamp_s
             now_s = self._now_s()
-            if state.commanded is not None and self._controller.following is not None:
-                self._controller.following.on_report(state.commanded, state.stamp_s, now_s)
+            if state.commanded is not None:
+                self._controller.on_commanded(state.commanded.tolist(), state.stamp_s, now_s)
             self._controller.on_joint_state(state.q.tolist(), now_s, state.stamp_s)
 
     def _send(self, trajectory: PlannedTrajectory | None) -> None:
@@ -341,7 +281,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         except BackendError as error:
             self._controller.interlock.stop(str(error))
             return
-        self._counts.trajectories += 1
+        self._trajectories += 1
 
     def _brake(self) -> None:
         """End the motion once when slip control has stopped or was disabled."""
@@ -354,18 +294,18 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self.get_logger().error(f'stopped: {reason}')
         self._publish_state()
 
-    def _tell(self) -> None:
-        if self._told == self._counts.windows:
+    def _report(self) -> None:
+        if self._reported == self._windows:
             self._publish_state()
             self._ask_gripper(None)
-        self._told = self._counts.windows
+        self._reported = self._windows
 
     def _publish_state(self) -> None:
         """Publish the state of now, with the figures of the latest window."""
         controller, message = self._controller, self._message
         message.slipping = message.count_slipping = message.flow_slipping = False
         message.state, message.enabled = int(controller.interlock.state), controller.enabled
-        message.advance, message.total_advance = 0.0, controller.total_advance
+        message.advance, message.total_advance = 0.0, controller.law.total
         message.reason = controller.reason(self._now_s())
         self._slip.publish(message)
 
@@ -377,11 +317,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             setattr(message, name, getattr(step, name))
         self._slip.publish(message)
         self._ask_gripper(step)
-        self._latest = step
-        self._counts.windows += 1
+        self._windows += 1
 
     def _ask_gripper(self, step: SlipStep | None) -> None:
-        """Publish what a gripper shall do; without a window, that it shall not close."""
+        """Publish a command for a gripper; without a window, a closing speed of zero."""
         if self._grip is None:
             return
         watch = self._controller.watch
@@ -389,7 +328,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             goal = 0.0 if self._settings.gripper == 'speed' else None
         else:
             trusted = watch.trusts_force(self._now_s())
-            given = step.end_us, watch.force
+            given = step.end_us, watch.force, self._settings
             goal = self._gripper.update(*given, slipping=step.slipping, trusted=trusted)
         if goal is not None:
             self._grip.publish(Float64MultiArray(data=[goal]))
@@ -399,18 +338,26 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self._controller.disable()
             self._brake()
             return 'slip control disabled'
-        now_s, settling_s = self._now_s(), self._settings.settling_time
+        if self._settings_client is not None and not self._settings_read:
+            self._read_settings()
+            if self._settings_client.service_is_ready():
+                raise SlipControlError(
+                    'slip control stays disabled: the controller has not sent its parameters yet',
+                    remedy='try again in a moment',
+                )
+        now_s = self._now_s()
         state = self._backend.state() if self._backend is not None else None
         commanded = None if state is None else state.commanded
         if commanded is None and self._controller.following is not None:
             commanded = self._controller.following.commanded(now_s)
         if state is None or commanded is not None:
             self._controller.enable(now_s, commanded=commanded)
-        elif not self._controller.enabled:
+        elif not self._controller.enabled and self._arm is not None:
+            p, arm = self._settings, self._arm
+            # The controller may see the trajectory later, by as much as the lead allows.
+            settling_s = p.lead + arm.settling_s(MAX_SAG_RAD, p.limit_share)
             self._controller.enable(now_s, settling_s=settling_s)
-            if self._arm is not None:
-                start = self._arm.planner.start
-                self._send(settling_trajectory(self._arm.arm, start, now_s, settling_s))
+            self._send(settling_trajectory(arm.arm, arm.planner.start, now_s, settling_s))
         self._moving = True
         return 'slip control enabled'
 
@@ -423,12 +370,41 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _on_tare(self, _request: Trigger.Request) -> str:
         self._controller.tare()
         self._gripper.start()
-        seconds = self._settings.learning_time
-        return f'learning the background: keep the contact still for {seconds:g} s'
+        return f'learning the background: keep the contact still for {LEARNING_S:g} s'
 
     def _status(self) -> Status:
-        now_s = self._now_s()
-        return Status(*node_status(self._controller, self._counts, self._latest, now_s))
+        controller, now_s = self._controller, self._now_s()
+        law = controller.law
+        values: dict[str, object] = {
+            'state': controller.interlock.state.name.lower(),
+            'lost packets': self._packets.lost,
+            'unreadable messages': self._refused,
+            'skipped windows': controller.features.slicer.skipped_windows,
+            'trajectories': self._trajectories,
+            'phase': law.step.phase.name.lower(),
+            'total advance [m]': law.total,
+            'advance limit [m]': law.limit,
+            'stiffness [N/m]': law.contact.stiffness,
+            'contrast [1/px]': controller.features.contrast,
+        }
+        for name in MAX_AGE_S:
+            age = controller.watch.age(name, now_s)
+            values[f'{name} age [s]'] = age if math.isfinite(age) else 'never'
+        return Status(*self._summary(now_s), values)
+
+    def _summary(self, now_s: float) -> tuple[int, str]:
+        """Return level and one line of the diagnostics."""
+        controller = self._controller
+        if controller.interlock.state is InterlockState.STOPPED:
+            return ERROR, f'stopped: {controller.interlock.reason}'
+        if not self._windows:
+            return WARN, f'no events yet: {self._problem}'
+        if not controller.detectors.learned:
+            return WARN, 'learning the background: keep the contact still'
+        if controller.enabled:
+            return OK, 'enabled'
+        reason = controller.reason(now_s)
+        return OK, f'watching; cannot be enabled: {reason}' if reason else 'watching; ready'
 
 
 main = partial(run, SlipControlNode)

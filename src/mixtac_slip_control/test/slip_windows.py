@@ -8,23 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mixtac_slip_control.detectors import LEARNING_WINDOWS
 from mixtac_slip_control.features import SlipWindow
-from mixtac_slip_control.parameters import SlipControlParameters
-
-LEARNED = 200
-"""Windows in which `parameters` learn the background."""
-
-
-def parameters(**changes: Any) -> SlipControlParameters:
-    """Parameters that learn fast and answer each window by itself, as the paper's law does."""
-    chosen: dict[str, Any] = {
-        'learning_time': 1e-3 * LEARNED,
-        'false_alarms_per_hour': 0.36,
-        'gain': 0.7,
-        'memory_time': 0.0,
-        'max_step': 5e-5,
-    }
-    return SlipControlParameters(**{**chosen, **changes})
 
 
 def window(
@@ -40,7 +25,7 @@ def window(
     return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete, light, noise)
 
 
-def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:
+def quiet_windows(number: int = LEARNING_WINDOWS, seed: int = 0) -> list[SlipWindow]:
     rng = np.random.default_rng(seed)
     counts = rng.poisson(30.0, number)
     flows = rng.normal(0.0, 0.002, (number, 2))
@@ -51,7 +36,7 @@ def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:
 
 
 class FakePlanner:
-    """Moves at once and remembers what it was asked."""
+    """Moves at once and records its calls."""
 
     def __init__(self) -> None:
         self.targets: list[float] = []
@@ -61,16 +46,16 @@ class FakePlanner:
         self.error: Exception | None = None
         self.moves = False
         self.max_advance = 0.0
-        self.path = None
+        self.line = None
 
-    def reset(self, q: Any, normal: Any = None, max_advance: float = 0.02) -> None:
+    def reset(self, q: Any, normal: Any, max_advance: float) -> None:
         self.resets.append((tuple(q), tuple(normal)))
         self.max_advance = max_advance
 
     def moving(self, now_s: float) -> bool:
         return self.moves
 
-    def plan(self, now_s: float, advance_m: float, normal: Any) -> Any:
+    def plan(self, now_s: float, advance_m: float) -> Any:
         if self.error is not None:
             raise self.error
         self.targets.append(advance_m)

@@ -1,66 +1,81 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters refuse what the parts could not use, however they are made."""
+"""Values that the parts could not use are refused; the launch file names existing parameters."""
 
 from __future__ import annotations
 
-import dataclasses
+import ast
 import math
+from pathlib import Path
 
 import pytest
 
 from mixtac_node.parameters import ParameterError, build, specs
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import LAWS, SlipControlParameters
+
+ROOT = Path(__file__).resolve().parents[3]
+TREE = ast.parse((ROOT / 'launch' / 'slip_control.launch.py').read_text())
 
 
 @pytest.mark.parametrize(
     'bad',
     [
         {'gain': -1.0},
-        {'max_step': math.nan},
-        {'events_per_mm': 0.0},
-        {'hold_time': -1.0},
+        {'min_flow': 0.0},
         {'max_force': 0.0},
-        {'max_joint_age': math.nan},
-        {'detector': 'both'},
-        {'controller_state_topic': ''},
-        {'min_excess': -1.0},
-        {'advance_events_per_mm': math.nan},
-        {'release_ratio': 1.5},
-        {'release_time': 0.0},
-        {'min_flow': -1.0},
-        {'slow_time': 0.0},
-        {'tail_shape': 1.0},
-        {'false_alarms_per_hour': 0.0},
-        {'probe_advance': -1.0},
-        {'probe_speed': 0.0},
-        {'stiffest_contact': 0.0},
-        {'force_noise': math.nan},
-        {'contact_reach': 5.0},
-        {'contact_column': 1e9},
-        {'window': 0.01, 'max_events_age': 0.02, 'learning_time': 10.0},
-        {'learning_time': 0.2, 'window': 0.01},
-        {'background_time_constant': 0.5, 'window': 0.01, 'learning_time': 1.0},
+        {'force_share': 1.1},
+        {'slip_force': math.nan},
+        {'grip_margin': 0.9},
+        {'max_total': 3e-3},
+        {'lead': 5e-3},
+        {'law': 'both'},
+        {'gripper': 'suction'},
+        {'normal': '0 0 0'},
+        {'normal': '0 0'},
+        {'normal': '0 0 up'},
+        {'workspace': '1 2 3'},
+        {'contact': '120'},
+        {'controller': '/'},
     ],
 )
-def test_values_without_a_meaning_are_refused(bad: dict[str, object]) -> None:
+def test_unusable_values_are_refused(bad: dict[str, object]) -> None:
     for make in (
         lambda: SlipControlParameters(**bad),  # type: ignore[arg-type]
         lambda: build(SlipControlParameters, bad),
-        lambda: dataclasses.replace(SlipControlParameters(), **bad),
     ):
         with pytest.raises(ParameterError) as caught:
             make()
         assert any(name in str(caught.value) for name in bad)
 
 
-def test_times_are_given_in_windows() -> None:
-    p = SlipControlParameters(window=2e-3, learning_time=1.0)
-    assert (p.window_us, p.learning_windows) == (2000, 500)
-    assert dataclasses.replace(p, window=1e-3).learning_windows == 1000
+def test_text_gives_numbers() -> None:
+    p = SlipControlParameters(normal='0 1.5 -2e-1', contact='120 90.5')
+    assert p.normal_vector == (0.0, 1.5, -0.2)
+    assert p.contact_place == (120.0, 90.5)
+    assert SlipControlParameters().contact_place is None
+    assert p.workspace_limits == (-0.8, 0.8, -0.8, 0.8, 0.0, 1.2)
 
 
-def test_every_description_stands_alone() -> None:
-    for spec in specs(SlipControlParameters):
-        assert spec.description.endswith('.'), spec.name
-        assert not spec.description.startswith('The same'), spec.name
+def test_the_launch_file_leaves_the_parameters_as_they_are() -> None:
+    found = [node for node in ast.walk(TREE) if isinstance(node, ast.Call)]
+    arguments = {
+        call.args[0].value: {k.arg: ast.literal_eval(k.value) for k in call.keywords}
+        for call in found
+        if isinstance(call.func, ast.Name)
+        and call.func.id == 'DeclareLaunchArgument'
+        and isinstance(call.args[0], ast.Constant)
+    }
+    assert {'arm', 'arm_backend', 'law', 'device'} == set(arguments)
+    # Empty: the value of the parameter file, or else the default of the parameter.
+    assert {each['default_value'] for each in arguments.values()} == {''}
+    assert arguments['law']['choices'] == ['', *LAWS]
+
+
+def test_the_other_arguments_of_the_launch_file_are_parameters() -> None:
+    (names,) = (
+        ast.literal_eval(node.value)
+        for node in ast.walk(TREE)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'PARAMETERS'
+    )
+    assert {'lead', 'joint_state_topic', 'normal_frame', 'max_force'} <= set(names)
+    assert set(names) <= {spec.name for spec in specs(SlipControlParameters)}

@@ -9,7 +9,6 @@ lower bound that no controller can beat: the same grasp and knock with the best 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,10 +24,9 @@ from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_slip_control.arm.following import UNWATCHED_LEAD_S
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.controller import SlipController, SlipStep
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -220,11 +218,8 @@ class ClosedLoop:
         self._estimates: list[Estimate] = []
         self._arm = JointTrajectoryController(1.0 / CYCLE_S)
         self._arm.reset(READY, EPOCH_S)
-        stream = StreamSettings(lead_s=settings.lead)
-        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), stream)
+        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), settings.lead)
         self._controller = SlipController(settings, planner, SIDEWAYS)
-        # A short lead needs to know what the arm's controller commands.
-        self._reported = settings.lead < UNWATCHED_LEAD_S
         self._tip = LaggingArm(READY, np.array(SIDEWAYS), lag_s, CYCLE_S)
         self._rng = np.random.default_rng(seed)
         self._under_way: list[tuple[float, PlannedTrajectory]] = []
@@ -270,8 +265,6 @@ class ClosedLoop:
             trajectory = Trajectory(t.stamp_s, t.times_s, t.q, t.dq, t.ddq)
             self._rejected += self._arm.accept(trajectory, arrival_s) is not None
         command = self._arm.sample(now_s)[0]
-        if self._reported:
-            self._controller.on_commanded(command.tolist(), now_s, now_s + TRANSPORT_S['command_s'])
         way = self._tip.follow(command, STEPS)
         if self._mass_g is not None:
             self._grasp.weigh(self._mass_g(self._cycle * CYCLE_S))
@@ -309,14 +302,7 @@ class ClosedLoop:
         while self._estimates and self._estimates[0].end_us <= told_us:
             found = self._estimates.pop(0)
             self._controller.on_quality('' if found.valid else found.reason.text, now_s)
-            shear = found.shear
-            self._controller.on_force(
-                found.force,
-                found.end_us,
-                now_s,
-                deviation=found.deviation or 0.0,
-                pull_n=None if shear is None else math.hypot(shear.x, shear.y),
-            )
+            self._controller.on_force(found.force, found.end_us, now_s)
 
     def _send_events(self, block: GraspBlock) -> None:
         """Pass the events to the controller and send its trajectories."""

@@ -26,13 +26,12 @@ from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.arm.plant import TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
-from mixtac_sim.grasp.objects import Friction, ObjectName, draw_setup
-from mixtac_sim.grasp.skin import SETTLE_S
+from mixtac_sim.grasp.objects import ObjectName, draw_setup
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.parameters import WINDOW_S, SlipControlParameters
 
 KNOCK_S = 1.45
 """Onset of the knock [s]: the background is learned and the arm is enabled by then."""
@@ -120,10 +119,9 @@ class TrialPlan:
 
     def reach(self, *, ideal: bool) -> ArmReach:
         """Return the limits of the arm along the normal; an ideal arm has no lag."""
-        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), StreamSettings(share=1.0))
+        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), share=1.0)
         planner.reset(READY, np.array(SIDEWAYS), self.settings.max_total)
         motion = planner.motion_limits
-        assert motion is not None  # noqa: S101  (known after a reset with a normal)
         lag_s = 0.0 if ideal else self.lag_s
         return ArmReach(motion.acceleration, motion.jerk, lag_s, self.settings.max_force)
 
@@ -162,8 +160,6 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         `chain_mm`: Lower bound for this arm: its best motion, started one window and the delays of
             the chain after the onset [mm].
         `chain_ms`: Time of rest with that motion.
-        `friction_error`: Relative error of the friction coefficient that the controller believes
-            in at the onset, before any gross slip.
         `peak_n`: Largest normal force [N].
         `advance_mm`: Advance at the end [mm].
         `slid_before`: Whether the object slid more than 0.1 mm before the controller was enabled.
@@ -185,7 +181,7 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     floor = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=True), 0.0)
     # The least time from a detection to a commanded motion.
     chain_s = TRANSPORT_S['events_s'] + max(plan.settings.lead, TRANSPORT_S['command_s'])
-    delay_s = 1e-6 * plan.settings.window_us + chain_s
+    delay_s = WINDOW_S + chain_s
     chain = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=False), delay_s)
     still = ArmReach(1.0, 1e3, 0.0, 0.0)
     free = best_arrest(plan.grasp(camera=False, knock_s=soon), still, 0.0)
@@ -212,7 +208,6 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'floor_ms': floor.arrest_ms,
         'chain_mm': chain.slip_mm,
         'chain_ms': chain.arrest_ms,
-        'friction_error': _friction_error(record, setup.friction, onset_us),
         'peak_n': float(record.normal_n.max()),
         'advance_mm': float(record.advance_mm[-1]),
         'slid_before': bool(np.interp(1e6 * ENABLE_S, record.t_us, record.object_mm) > SLID_MM),
@@ -277,14 +272,6 @@ def _published_ms(record: LoopRecord, onset_us: float) -> float:
     return _after_ms(record.published_us[answers], onset_us)
 
 
-def _friction_error(record: LoopRecord, friction: Friction, onset_us: float) -> float:
-    """Return the relative error of the friction before the onset; NaN where none is told."""
-    before = [s for s in record.steps if s.end_us < onset_us]
-    if not before or not before[-1].margin:
-        return float('nan')
-    return before[-1].friction / friction.static(SETTLE_S) - 1.0
-
-
 def _force_at(record: LoopRecord, time_us: float) -> float:
     return float(record.normal_n[np.searchsorted(record.t_us, time_us)])
 
@@ -344,7 +331,6 @@ def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{key: _median(values[key]) for key in medians},
         **{key: sum(values[key]) for key in totals},
         'stopped': sum(map(bool, values['stopped'])),
-        'friction_within_15_percent': _share_within(values['friction_error'], 0.15),
     }
 
 
@@ -388,14 +374,6 @@ def load_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         'peak_n': round(max(each['peak_n'] for each in results), 3),
         'stopped': sum(bool(each['stopped']) for each in results),
     }
-
-
-def _share_within(errors: Sequence[float | None], most: float) -> float | None:
-    """Return the share of errors that are small enough, None among many; None without any."""
-    if not any(error is not None for error in errors):
-        return None
-    small = sum(error is not None and abs(error) <= most for error in errors)
-    return round(small / len(errors), 4)
 
 
 def _median(values: Sequence[float | None]) -> dict[str, float | None]:

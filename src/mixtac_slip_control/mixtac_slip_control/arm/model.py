@@ -2,29 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arm that the parameters name, with planner and checks, and what drives it.
 
-The parameter `arm_backend` names the backend: `trajectory` and `libfranka` are built in, others are
-entry points of the group `mixtac.arm_backends`. An entry point is called with the parameters of
-slip control and the kinematics of the arm, and returns an `ArmBackend`.
+The parameter `arm_backend` names the backend: `trajectory` is built in, others are entry points of
+the group `mixtac.arm_backends`. An entry point is called with the parameters of slip control and
+the kinematics of the arm, and returns an `ArmBackend`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
-from mixtac_slip_control.arm.normal_path import DEGREE, MotionLimits, NormalPath
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
-from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory, settling_time
 from mixtac_slip_control.errors import BackendError, SlipControlError
-from mixtac_slip_control.parameters import LIBFRANKA, SlipControlParameters
+from mixtac_slip_control.parameters import SlipControlParameters
 
 Floats = NDArray[np.float64]
 
@@ -59,17 +58,16 @@ class ArmParts:
         """Return what is wrong with joint positions [rad], or None."""
         return self.checks.check(np.asarray(q, np.float64))
 
-    def warm_up(self) -> None:
-        """Compile (or load) what runs in real time, so that the first trajectory is not late."""
-        # On a path on which no joint moves: a posture from which any arm can advance is not known.
-        rest = np.zeros(self.arm.dof)
-        path = NormalPath(self.direction, -1e-2, 1e-2, np.zeros((DEGREE + 1, self.arm.dof)))
-        path.derivatives(0.0)
-        planner = AdvancePlanner(self.arm, self.limits, self.planner.settings)
-        planner.reset(rest)
-        planner.path, planner.motion_limits = path, MotionLimits(0.1, 1.0, 100.0)
-        planner.plan(1.0, 1e-3, self.direction)
-        planner.stop(1.01)
+    def settling_s(self, sag: float, share: float) -> float:
+        """Return the time in which the arm settles from a sag within a share of its limits [s].
+
+        Args:
+            sag: Largest difference of a joint from its command [rad].
+            share: Share of the limits that may be used.
+        """
+        limits = self.limits
+        rates = (limits.velocity, limits.acceleration, limits.jerk)
+        return settling_time(sag, *(share * float(rate.min()) for rate in rates))
 
 
 def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
@@ -78,36 +76,20 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
     Raises:
         SlipControlError: A file that cannot be read or holds no usable arm, or no normal.
     """
-    if parameters.model == 'none':
+    if parameters.arm == 'none':
         return None
-    direction = np.array(parameters.normal)
-    length = float(np.linalg.norm(direction))
-    if length == 0.0:
-        raise SlipControlError('normal_x, normal_y and normal_z are all 0: give a direction')
-    try:
-        x0, x1, y0, y1, z0, z1 = (float(number) for number in parameters.workspace.split())
-    except ValueError as error:
-        raise SlipControlError(
-            f'workspace {parameters.workspace!r}: give six numbers, the limits along x, y and z [m]'
-        ) from error
+    direction = np.array(parameters.normal_vector)
+    x0, x1, y0, y1, z0, z1 = parameters.workspace_limits
     arm, limits = _model(parameters)
-    stream = StreamSettings(
-        lead_s=parameters.lead,
-        overlap_s=3.0 * parameters.controller_period,
-        interval_s=parameters.interval,
-        share=parameters.limit_share,
-        max_speed=parameters.max_speed,
-    )
-    planner = AdvancePlanner(arm, limits, stream)
+    planner = AdvancePlanner(arm, limits, parameters.lead, parameters.limit_share)
     in_tool = parameters.normal_frame == 'tool'
     checks = StateChecks(arm, limits, BoxWorkspace((x0, y0, z0), (x1, y1, z1)))
-    parts = ArmParts(arm, limits, planner, checks, in_tool, direction / length)
-    parts.warm_up()
-    return parts
+    direction = direction / np.linalg.norm(direction)
+    return ArmParts(arm, limits, planner, checks, in_tool, direction)
 
 
 def _model(parameters: SlipControlParameters) -> tuple[SerialArm, JointLimits]:
-    if parameters.model == 'fr3':
+    if parameters.arm == 'fr3':
         return SerialArm.fr3(), JointLimits.fr3()
     try:
         text = Path(parameters.arm).read_text()
@@ -126,8 +108,8 @@ TRAJECTORY: Final = 'trajectory'
 """The backend that publishes trajectories; the node makes it, because it owns the publisher."""
 
 
-class ArmBackend(Protocol):
-    """Drives an arm along planned trajectories."""
+class ArmBackend:
+    """Drives an arm along planned trajectories; the base class of backends."""
 
     def state(self) -> ArmState | None:
         """Return the latest state, or None before the first.
@@ -135,6 +117,7 @@ class ArmBackend(Protocol):
         Raises:
             BackendError: The arm or the connection to it reports a fault.
         """
+        raise NotImplementedError
 
     def send(self, trajectory: PlannedTrajectory) -> None:
         """Replace the trajectory being carried out by another, at once.
@@ -142,13 +125,14 @@ class ArmBackend(Protocol):
         Raises:
             BackendError: The arm or the connection to it reports a fault.
         """
+        raise NotImplementedError
 
     def stop(self) -> None:
-        """Bring the arm to rest and release it."""
+        """Bring the arm to rest and release it; by default nothing, as trajectories end at rest."""
 
 
-class TrajectoryBackend:
-    """An `ArmBackend` for a joint_trajectory_controller, by topics.
+class TrajectoryBackend(ArmBackend):
+    """The backend for a joint_trajectory_controller, by topics.
 
     Args:
         names: Names of the arm's joints, in its order.
@@ -198,28 +182,53 @@ class TrajectoryBackend:
         """Publish a trajectory."""
         self._publish(trajectory)
 
-    def stop(self) -> None:
-        """Leave the arm alone: every trajectory ends at rest."""
+
+SAFE_SETTINGS: Final = {
+    'allow_trajectory_replacement': False,
+    'positions_upsampling.enable': False,
+    'set_last_command_interface_value_as_state_on_activation': False,
+    'interpolation_method': 'splines',
+}
+"""Parameters of a joint_trajectory_controller with the values that the stream needs. A version
+without one of them behaves as with this value."""
+CONTINUES: Final = ('interpolate_from_desired_state', 'open_loop_control')
+"""Names of the parameter by which a trajectory continues from the last command: the second one on
+Humble and, besides the first, on Jazzy. One of them must be true."""
+
+
+def unsafe_setting(values: Mapping[str, object]) -> str:
+    """Return which parameter of a controller makes the stream unsafe; empty if none does.
+
+    Args:
+        values: Parameters of the controller; None for one that it does not have.
+    """
+    wrong = [name for name, safe in SAFE_SETTINGS.items() if values.get(name) not in {None, safe}]
+    if not any(values.get(name) for name in CONTINUES):
+        wrong.insert(0, CONTINUES[0])
+    if not wrong:
+        return ''
+    value = values.get(wrong[0])
+    safe = SAFE_SETTINGS.get(wrong[0], True)
+    return (
+        f'the controller of the arm has {wrong[0]} {str(value).lower()}: set it to '
+        f'{str(safe).lower()}, as in config/franka/fr3_controllers.yaml, and restart it'
+    )
 
 
 def open_backend(parameters: SlipControlParameters, arm: SerialArm) -> ArmBackend:
     """Return the backend that the parameters name, connected to its arm.
 
     Args:
-        parameters: `backend`, and what that backend needs.
+        parameters: `arm_backend`, and what that backend needs.
         arm: The arm.
 
     Raises:
         BackendError: No such backend, or the arm does not answer or is not ready.
     """
-    name = parameters.backend
-    if name == LIBFRANKA:
-        from mixtac_slip_control.arm.libfranka import open_libfranka
-
-        return open_libfranka(parameters, arm)
+    name = parameters.arm_backend
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name not in found:
-        known = ', '.join((TRAJECTORY, LIBFRANKA, *sorted(found)))
+        known = ', '.join((TRAJECTORY, *sorted(found)))
         raise BackendError(f'arm_backend {name!r} is unknown', remedy=f'choose one of {known}')
     backend: ArmBackend = found[name].load()(parameters, arm)
     return backend

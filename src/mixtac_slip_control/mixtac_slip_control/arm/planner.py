@@ -1,136 +1,234 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The planner that streams an advance along the contact normal as jerk-limited trajectories."""
+"""The planner that streams an advance along the contact normal as jerk-limited trajectories.
+
+The advance is one coordinate on a straight line in joint space. `ruckig` plans its time-optimal
+motion; the points of a trajectory are the times at which the jerk changes. Between two of them
+every joint moves by a cubic, and a controller that joins points with quintics reproduces that
+cubic.
+"""
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from ruckig import ControlInterface, InputParameter, Result, Ruckig
+from ruckig import Trajectory as Motion
 
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.normal_path import (
-    MotionLimits,
-    NormalPath,
-    fit_normal_path,
-    joint_states,
-)
-from mixtac_slip_control.arm.profile import replan, stopping_distance
+from mixtac_slip_control.arm.limits import JOINT_MARGIN, JointLimits
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import ArmError, UnreachableError
+from mixtac_slip_control.parameters import CONTROLLER_PERIOD_S
 
 Floats = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class StreamSettings:
-    """Settings of the advance planner.
-
-    Attributes:
-        lead_s: From the call to the first point that may differ from what was sent before [s]. It
-            must cover the worst transport to the controller and two of its cycles, one until it
-            looks and one by which it commands ahead.
-        overlap_s: How far before the call a trajectory begins [s]: at least two cycles, so that
-            the controller never joins its own last command to our first point.
-        interval_s: Least time between two trajectories [s].
-        spacing_s: Time between points [s].
-        share: Share of the joints' rate limits that may be used; the rest is reserve.
-        max_speed: Largest speed of the tip [m/s].
-        min_change: Smaller changes of the target are not sent [m].
-        history_s: How long past advances are remembered [s].
-    """
-
-    lead_s: float = 6e-3
-    overlap_s: float = 3e-3
-    interval_s: float = 2e-3
-    spacing_s: float = 1e-3
-    share: float = 0.95
-    max_speed: float = 0.25
-    min_change: float = 1e-7
-    history_s: float = 0.25
-
-
-MAX_ADVANCE: Final = 0.02
-"""Largest advance since a reset where none is given [m]; the largest `max_total`."""
-PATH_MARGIN: Final = 1e-3
-"""By which the path is longer than any target at both ends [m]: room to reverse."""
+OVERLAP_S: Final = 3.0 * CONTROLLER_PERIOD_S
+"""Time before the call at which a trajectory begins [s]: at least two cycles, so that the
+controller never joins its own last command to the first point."""
+INTERVAL_S: Final = 2e-3
+"""Least time between two trajectories [s]."""
+MIN_CHANGE_M: Final = 1e-7
+"""Smaller changes of the target are not sent [m]."""
+HISTORY_S: Final = 0.25
+"""Time for which past advances are kept [s]."""
+MAX_SPEED: Final = 0.25
+"""Largest speed of the tip [m/s]."""
+MAX_ADVANCE: Final = 2e-3
+"""Largest advance [m]: a straight line in joint space then leaves the normal by 10 um at most."""
 SAME_NORMAL: Final = 1e-3
 """Largest difference between unit normals that count as the same."""
+SHORTEST_S: Final = 1e-6
+"""Shorter phases of a motion get no point of their own [s]."""
+GRID_NS: Final = 1_000_000
+"""Grid of the times at which trajectories begin and branch off [ns]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """Limits of the advance that keep every joint and the tip within their own.
+
+    Attributes:
+        speed: [m/s].
+        acceleration: [m/s2].
+        jerk: [m/s3].
+    """
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLine:
+    """A straight line in joint space along which the tip advances, its orientation held.
+
+    Attributes:
+        normal: Unit direction of the advance (3,) in the base frame.
+        start: Joint positions at advance zero (n,) [rad].
+        slope: Joint motion per advance (n,) [rad/m].
+    """
+
+    normal: Floats
+    start: Floats
+    slope: Floats
+
+    def at(self, advance: float) -> Floats:
+        """Return the joint positions (n,) [rad] at an advance [m]."""
+        return self.start + advance * self.slope
+
+    def limits(self, limits: JointLimits, share: float, most: float) -> MotionLimits:
+        """Return the limits of the advance under which nothing exceeds a share of its own.
+
+        Args:
+            limits: Limits of joints and tip.
+            share: Share of each rate limit that may be used, 0 to 1.
+            most: Largest advance [m].
+        """
+        slope = np.maximum(np.abs(self.slope), 1e-9)
+        bounds = [limits.velocity_bounds(self.at(s)) for s in (0.0, most)]
+        speeds = np.min([np.minimum(-low, high) for low, high in bounds], axis=0)
+        tip_speed, tip_acceleration, tip_jerk = limits.tip
+        return MotionLimits(
+            min(MAX_SPEED, share * min(tip_speed, float((speeds / slope).min()))),
+            share * min(tip_acceleration, float((limits.acceleration / slope).min())),
+            share * min(tip_jerk, float((limits.jerk / slope).min())),
+        )
+
+
+def joint_line(
+    arm: SerialArm, limits: JointLimits, q: Floats, normal: Floats, most: float
+) -> JointLine:
+    """Return the line from joint positions along a direction.
+
+    Args:
+        arm: The arm.
+        limits: Limits of its joints; positions stay `JOINT_MARGIN` inside.
+        q: Joint positions at advance zero (n,) [rad].
+        normal: Direction of the advance (3,) in the base frame, of any length.
+        most: Largest advance [m].
+
+    Raises:
+        ArmError: Not a direction, or not joint positions of the arm.
+        UnreachableError: The advance leaves the ranges of the joints, or the arm cannot move along
+            the direction with its orientation held.
+    """
+    start = arm.checked(q).copy()
+    direction = np.asarray(normal, np.float64)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not 1e-6 < length < 1e6:
+        raise ArmError(f'contact normal {direction.tolist()}: give three numbers, not all zero')
+    direction = direction / length
+    jacobian = arm.jacobian(start)
+    slope = fastest_tangent(jacobian, direction, limits.acceleration)
+    if np.abs(jacobian[:3] @ slope - direction).max() > SAME_NORMAL:
+        raise UnreachableError(
+            'the arm cannot advance along the contact normal from here: choose another posture'
+        )
+    line = JointLine(direction, start, slope)
+    problem = limits.violation(line.at(most), arm.names, JOINT_MARGIN)
+    if problem is not None:
+        raise UnreachableError(
+            f'an advance of {most * 1e3:.2f} mm needs {problem}: choose another posture or a '
+            'smaller max_total'
+        )
+    return line
+
+
+def fastest_tangent(jacobian: Floats, direction: Floats, acceleration: Floats) -> Floats:
+    """Return the joint motion per advance (n,) that needs the least share of the accelerations.
+
+    Args:
+        jacobian: Jacobian of the tip (6, n).
+        direction: Unit direction of the tip (3,).
+        acceleration: Limits of the joints (n,).
+    """
+    twist = np.concatenate([direction, np.zeros(3)])
+    base = np.linalg.lstsq(jacobian, twist, rcond=1e-6)[0]
+    if jacobian.shape[1] != 7:
+        return np.asarray(base)
+    free = np.linalg.svd(jacobian)[2][-1]
+    # The maximum over joints of |b_i + m f_i| is convex and bends where two of them are equal.
+    b, f = base / acceleration, free / acceleration
+    b2, f2 = np.concatenate([b, -b]), np.concatenate([f, -f])
+    with np.errstate(divide='ignore', invalid='ignore'):
+        candidates = ((b2[:, None] - b2) / (f2 - f2[:, None])).ravel()
+    candidates = np.concatenate([[0.0], candidates[np.isfinite(candidates)]])
+    worst = np.abs(b + candidates[:, None] * f).max(axis=1)
+    return np.asarray(base + candidates[int(np.argmin(worst))] * free)
+
+
+@dataclass(frozen=True, slots=True)
+class Knot:
+    """State of the advance at a time at which its jerk changes.
+
+    Attributes:
+        t_ns: Time [ns].
+        s: Advance [m].
+        v: Velocity [m/s].
+        a: Acceleration [m/s2].
+        j: Jerk until the next knot [m/s3].
+    """
+
+    t_ns: int
+    s: float
+    v: float
+    a: float
+    j: float
+
+    def after(self, t_ns: int) -> Knot:
+        """Return the state at a later time before the next knot [ns]."""
+        t = 1e-9 * (t_ns - self.t_ns)
+        s = self.s + t * (self.v + t * (0.5 * self.a + t * self.j / 6.0))
+        v = self.v + t * (self.a + 0.5 * t * self.j)
+        return Knot(t_ns, s, v, self.a + t * self.j, self.j)
 
 
 class AdvancePlanner:
     """Plans the advance since the last reset as trajectories, each continuing the one before.
 
-    All trajectories of one reset lie on one grid of points in time. A new one repeats the points
-    already sent up to `lead_s` after the call, leaves them there with their velocity and
-    acceleration, and ends at rest at its target. Whenever the controller takes it up before that,
-    it continues without a step; if no further one comes, the arm stops at the target.
+    A new trajectory repeats the motion already sent up to `lead_s` after the call, leaves it there
+    with its velocity and acceleration, and ends at rest at its target. Whenever the controller
+    takes it up before that time, the motion continues without a step; if no further trajectory
+    comes, the arm stops at the target.
 
-    All times are on the clock of `now_s`, the one the controller reads.
+    All times are on the clock of `now_s`, the one that the controller reads.
 
     Attributes:
-        path: Joint path of the present normal; None before it is known.
-        motion_limits: Limits of the advance along the path; None before the normal is known.
-        refused: Plans that would have broken a limit and were not made; the last one stands.
+        line: Joint line of this reset; None before the first reset.
+        motion_limits: Limits of the advance along the line.
+        refused: Plans that ruckig could not make; the last trajectory stands.
 
     Args:
         arm: The arm.
         limits: Limits of its joints.
-        settings: Lead, spacing, reserves.
+        lead_s: Time from the call to the first point that may differ from the trajectory before
+            [s]. It must cover the worst transport to the controller and two of its cycles, one
+            until it looks and one by which it commands ahead.
+        share: Share of the rate limits that may be used; the rest is reserve.
     """
 
     def __init__(
-        self, arm: SerialArm, limits: JointLimits, settings: StreamSettings | None = None
+        self, arm: SerialArm, limits: JointLimits, lead_s: float = 6e-3, share: float = 0.95
     ) -> None:
-        self._arm = arm
-        self._limits = limits
-        self.settings = settings or StreamSettings()
-        self._dt_ns = round(self.settings.spacing_s * 1e9)
-        self._dt = self._dt_ns * 1e-9
-        self._lead = math.ceil(self.settings.lead_s / self._dt - 1e-9)
-        self._overlap = math.ceil(self.settings.overlap_s / self._dt - 1e-9)
-        self._history = math.ceil(self.settings.history_s / self._dt) + self._overlap
+        self._arm, self._limits = arm, limits
+        self._lead_ns, self._share = round(lead_s * 1e9), share
         self.refused = 0
-        self._q: Floats | None = None
-        self.path: NormalPath | None = None
-        self.motion_limits: MotionLimits | None = None
-        self._max_advance = MAX_ADVANCE
-        self._now_ns = 0
+        self.line: JointLine | None = None
+        self.motion_limits = MotionLimits(0.0, 0.0, 0.0)
+        self._most = 0.0
+        self._ruckig, self._motion, self._input = Ruckig(1), Motion(1), InputParameter(1)
         self._clear()
 
     @property
     def target(self) -> float:
         """Advance at which the last trajectory ends [m]."""
-        return float(self._states[-1, 0])
-
-    def reset(
-        self, q: Floats, normal: Floats | None = None, max_advance: float = MAX_ADVANCE
-    ) -> None:
-        """Start over with advance zero, at rest.
-
-        Args:
-            q: Joint positions that the controller holds (n,) [rad]: the commanded ones, not the
-                measured. `settling_trajectory` makes the two equal.
-            normal: Direction of the advance (3,) in the base frame; given here, the first `plan`
-                need not compute the path.
-            max_advance: Largest advance that will be asked for [m].
-
-        Raises:
-            ArmError: Joint positions, a normal or a largest advance that are none.
-            UnreachableError: `max_advance` leaves the arm's reach or its joints' ranges.
-        """
-        if not 0.0 <= max_advance <= 0.1:
-            raise ArmError(f'max_advance = {max_advance} m: give 0 to 0.1 m')
-        self._max_advance = max_advance
-        self._q = self._arm.checked(q).copy()
-        self.path = self.motion_limits = None
-        self._clear()
-        if normal is not None:
-            self._prepare(self._q, normal)
+        return self._knots[-1].s
 
     @property
     def start(self) -> Floats:
@@ -139,52 +237,68 @@ class AdvancePlanner:
         Raises:
             ArmError: Not reset yet.
         """
-        if self._q is None:
-            raise ArmError('the advance has no start: reset the planner with joint positions')
-        return self._q
+        return self._ready().start
 
-    def restart(self) -> None:
-        """Start over from the joint positions and with the path of the last reset."""
+    def reset(self, q: Floats, normal: Floats, max_advance: float = MAX_ADVANCE) -> None:
+        """Start over with advance zero, at rest.
+
+        Args:
+            q: Joint positions that the controller holds (n,) [rad]: the commanded ones, not the
+                measured. `settling_trajectory` makes the two equal.
+            normal: Direction of the advance (3,) in the base frame.
+            max_advance: Largest advance that will be asked for [m].
+
+        Raises:
+            ArmError: Not joint positions, not a normal, or not a largest advance.
+            UnreachableError: `max_advance` leaves the ranges of the joints.
+        """
+        if not 0.0 <= max_advance <= MAX_ADVANCE:
+            raise ArmError(f'max_advance = {max_advance} m: give 0 to {MAX_ADVANCE} m')
+        self.line = joint_line(self._arm, self._limits, q, normal, max_advance)
+        self.motion_limits = self.line.limits(self._limits, self._share, max_advance)
+        self._most = max_advance
         self._clear()
 
-    def plan(self, now_s: float, advance_m: float, normal: Floats) -> PlannedTrajectory | None:
+    def plan(self, now_s: float, advance_m: float) -> PlannedTrajectory | None:
         """Return the trajectory to a new target, or None where nothing new is to be sent.
 
         None means that the target is as before, that the last trajectory was sent less than
-        `interval_s` ago (ask again with the next window), or that it was refused.
+        `INTERVAL_S` ago (ask again with the next window), or that no motion was found.
 
         Args:
             now_s: Present time [s].
             advance_m: Advance to reach, since the reset [m].
-            normal: Direction of the advance (3,) in the base frame.
 
         Raises:
-            ArmError: Not reset; a value that is not finite; time that runs backwards; a normal
-                other than that of this reset.
+            ArmError: Not reset; a value that is not finite; time that runs backwards.
             UnreachableError: An advance below zero or above `max_advance`.
         """
-        path, motion = self._ready(normal)
+        line = self._ready()
         if not math.isfinite(advance_m) or not math.isfinite(now_s):
             raise ArmError(f'advance {advance_m} m at {now_s} s: give finite numbers')
-        if not -1e-9 <= advance_m <= self._max_advance + 1e-9:
+        if not -1e-9 <= advance_m <= self._most + 1e-9:
             raise UnreachableError(
                 f'an advance of {advance_m * 1e3:.3f} mm is outside 0 to '
-                f'{self._max_advance * 1e3:g} mm: limit it, or reset the planner for more'
+                f'{self._most * 1e3:g} mm: limit it, or reset the planner for more'
             )
-        now_ns = self._advance_clock(now_s)
+        now_ns = round(now_s * 1e9)
+        if now_ns < self._now_ns:
+            raise ArmError(
+                f'time ran back by {(self._now_ns - now_ns) * 1e-9:.6f} s: reset the planner'
+            )
+        self._now_ns = now_ns
         # A caller at exactly this interval must not miss its turn by rounding.
-        interval_ns = round(self.settings.interval_s * 1e9) - 1000
-        early = self._sent_ns is not None and now_ns - self._sent_ns < interval_ns
-        if early or abs(advance_m - self.target) < self.settings.min_change:
+        early = self._sent_ns is not None and now_ns - self._sent_ns < 1e9 * INTERVAL_S - 1000
+        if early or abs(advance_m - self.target) < MIN_CHANGE_M:
             return None
-        return self._continue(now_ns, advance_m, path, motion)
+        return self._continue(now_ns, self._solved(self._branch(now_ns), advance_m), line)
 
     def stop(self, now_s: float) -> PlannedTrajectory | None:
         """Return the trajectory that brakes as soon and as fast as the limits allow.
 
-        None where the arm rests or the last trajectory brings it to rest as soon. A clock that was
-        set back is no obstacle: the motion is ended from where the arm is by the new time, or, if
-        that is no longer remembered, from the oldest time that is.
+        None where the arm rests or the last trajectory brings it to rest as soon. After the clock
+        was set back, the motion is ended from where the arm is by the new time, or from the oldest
+        time that is kept.
 
         Args:
             now_s: Present time [s].
@@ -192,135 +306,119 @@ class AdvancePlanner:
         Raises:
             ArmError: A time that is not finite.
         """
-        path, motion = self.path, self.motion_limits
-        if path is None or motion is None or self._epoch_ns is None:
+        if not math.isfinite(now_s):
+            raise ArmError(f'time {now_s} s: give a finite number')
+        if self.line is None or len(self._knots) == 1:
             return None
-        now_ns = self._checked_ns(now_s)
+        now_ns = round(now_s * 1e9)
         if now_ns < self._now_ns:
-            oldest_ns = self._epoch_ns + (self._first + self._overlap) * self._dt_ns
+            oldest_ns = self._knots[0].t_ns + round(1e9 * OVERLAP_S)
             now_ns = min(max(now_ns, oldest_ns), self._now_ns)
         self._now_ns = now_ns
-        start = self._at(self._branch(now_ns))
-        if not (self._rows(self._branch(now_ns), self._first + len(self._states))[:, 1:]).any():
+        branch = self._branch(now_ns)
+        if branch.t_ns >= self._knots[-1].t_ns:
             return None
-        target = start[0] + stopping_distance(start, motion.acceleration, motion.jerk)
-        ahead = self.target - start[0]
-        if ahead * (target - start[0]) > 0.0 and abs(target - start[0]) >= abs(ahead):
+        solved = self._solved(branch, None)
+        if solved is not None and solved[-1].t_ns >= self._knots[-1].t_ns:
             return None
-        return self._continue(now_ns, float(target), path, motion)
+        return self._continue(now_ns, solved, self.line)
 
     def advance_at(self, t_s: float) -> float:
         """Return the advance [m] that is commanded at a time [s]."""
-        if self._epoch_ns is None:
-            return 0.0
-        cells = (t_s - self._epoch_ns * 1e-9) / self._dt - self._first
-        if cells <= 0.0 or cells >= len(self._states) - 1:
-            return float(self._states[0 if cells <= 0.0 else -1, 0])
-        k = int(cells)
-        t = (cells - k) * self._dt
-        s, v, a = self._states[k]
-        j = (self._states[k + 1, 2] - a) / self._dt
-        return float(s + t * (v + t * (0.5 * a + t * j / 6.0)))
+        return self._state(round(t_s * 1e9)).s
 
     def moving(self, now_s: float) -> bool:
         """Return whether the arm is commanded to move, now or later [s]."""
-        if self._epoch_ns is None:
-            return False
-        start_s = (self._epoch_ns + self._first * self._dt_ns) * 1e-9
-        return start_s <= now_s < start_s + (len(self._states) - 1) * self._dt
+        first, last = self._knots[0].t_ns, self._knots[-1].t_ns
+        return len(self._knots) > 1 and first <= now_s * 1e9 < last
+
+    def _ready(self) -> JointLine:
+        if self.line is None:
+            raise ArmError('the advance has no start: reset the planner with joint positions')
+        return self.line
 
     def _clear(self) -> None:
-        self._epoch_ns: int | None = None
-        self._first = 0
-        self._states = np.zeros((1, 3))
+        self._knots = [Knot(0, 0.0, 0.0, 0.0, 0.0)]
         self._now_ns = 0
         self._sent_ns: int | None = None
 
-    def _prepare(self, q: Floats, normal: Floats) -> tuple[NormalPath, MotionLimits]:
-        high = self._max_advance + PATH_MARGIN
-        path = fit_normal_path(self._arm, self._limits, q, normal, -PATH_MARGIN, high)
-        motion = path.limits(self._limits, self.settings.share, self.settings.max_speed)
-        self.path, self.motion_limits = path, motion
-        return path, motion
+    def _state(self, t_ns: int) -> Knot:
+        """Return the state at a time [ns]; at rest before the first and after the last knot."""
+        k = bisect.bisect_right(self._knots, t_ns, key=lambda knot: knot.t_ns) - 1
+        if k < 0 or k == len(self._knots) - 1:
+            return Knot(t_ns, self._knots[max(k, 0)].s, 0.0, 0.0, 0.0)
+        return self._knots[k].after(t_ns)
 
-    def _ready(self, normal: Floats) -> tuple[NormalPath, MotionLimits]:
-        if self.path is None or self.motion_limits is None:
-            return self._prepare(self.start, normal)
-        n = self.path.normal
-        x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
-        length = math.sqrt(x * x + y * y + z * z)
-        if not abs(x * n[0] + y * n[1] + z * n[2] - length) <= 0.5 * SAME_NORMAL**2 * length:
-            raise ArmError(
-                f'the contact normal changed from {n.tolist()} to {[x, y, z]} during an advance: '
-                'reset the planner first'
-            )
-        return self.path, self.motion_limits
+    def _branch(self, now_ns: int) -> Knot:
+        """Return the state at the first time of the grid at least the lead after a time [ns]."""
+        return self._state(-(-(now_ns + self._lead_ns) // GRID_NS) * GRID_NS)
 
-    def _advance_clock(self, now_s: float) -> int:
-        now_ns = self._checked_ns(now_s)
-        if self._epoch_ns is None:
-            self._epoch_ns = now_ns // self._dt_ns * self._dt_ns
-        elif now_ns < self._now_ns:
-            raise ArmError(
-                f'time ran back by {(self._now_ns - now_ns) * 1e-9:.6f} s: reset the planner'
-            )
-        self._now_ns = now_ns
-        return now_ns
+    def _solved(self, start: Knot, target: float | None) -> list[Knot] | None:
+        """Return the fastest motion to rest at a target, or to rest anywhere; None if not found."""
+        given, limits = self._input, self.motion_limits
+        to_target = target is not None
+        given.control_interface = (
+            ControlInterface.Position if to_target else ControlInterface.Velocity
+        )
+        given.current_position = [start.s]
+        given.current_velocity = [start.v]
+        given.current_acceleration = [start.a]
+        given.target_position = [target if target is not None else start.s]
+        given.target_velocity = given.target_acceleration = [0.0]
+        given.max_velocity = [limits.speed]
+        given.max_acceleration = [limits.acceleration]
+        given.max_jerk = [limits.jerk]
+        try:
+            done = self._ruckig.calculate(given, self._motion)
+        except RuntimeError:
+            return None
+        if done not in {Result.Working, Result.Finished}:
+            return None
+        return self._knots_of(start)
 
-    @staticmethod
-    def _checked_ns(now_s: float) -> int:
-        if not math.isfinite(now_s):
-            raise ArmError(f'time {now_s} s: give a finite number')
-        return round(now_s * 1e9)
-
-    def _index(self, t_ns: int) -> int:
-        return (t_ns - (self._epoch_ns or 0)) // self._dt_ns
-
-    def _branch(self, now_ns: int) -> int:
-        """Return the first point of the grid at least the lead after a time."""
-        return self._index(now_ns + self._dt_ns - 1) + self._lead
-
-    def _rows(self, first: int, last: int) -> Floats:
-        """Return the states at points first to last, both included; at rest past the end."""
-        indices = np.clip(np.arange(first, last + 1) - self._first, 0, len(self._states) - 1)
-        return np.ascontiguousarray(self._states[indices])
-
-    def _at(self, index: int) -> Floats:
-        return np.asarray(self._rows(index, index)[0])
+    def _knots_of(self, start: Knot) -> list[Knot]:
+        """Return the states at which the jerk of the planned motion changes, the last at rest."""
+        profile = self._motion.profiles[0][0]
+        phases = [*zip(profile.brake.t, profile.brake.j, strict=True)]
+        phases += [*zip(profile.t, profile.j, strict=True)]
+        knots, t = [Knot(start.t_ns, start.s, start.v, start.a, 0.0)], 0.0
+        for duration, jerk in phases:
+            if duration >= SHORTEST_S:
+                (s,), (v,), (a,) = self._motion.at_time(t)
+                knots.append(Knot(start.t_ns + round(1e9 * t), s, v, a, jerk))
+            t += duration
+        if len(knots) > 1:
+            knots.pop(0)
+            knots[0] = Knot(start.t_ns, start.s, start.v, start.a, knots[0].j)
+        (s,), _, _ = self._motion.at_time(self._motion.duration)
+        end_ns = start.t_ns + max(round(1e9 * self._motion.duration), 1000)
+        knots.append(Knot(end_ns, s, 0.0, 0.0, 0.0))
+        return knots
 
     def _continue(
-        self, now_ns: int, target: float, path: NormalPath, motion: MotionLimits
+        self, now_ns: int, new: list[Knot] | None, line: JointLine
     ) -> PlannedTrajectory | None:
-        branch = self._branch(now_ns)
-        shape = (path.coefficients, path.centre, path.half)
-        _, tip_acceleration, tip_jerk = self._limits.tip
-        new = replan(
-            *shape,
-            self._at(branch),
-            target,
-            (motion.speed, motion.acceleration, motion.jerk),
-            (self.settings.share * tip_acceleration, self.settings.share * tip_jerk),
-            self._limits.acceleration * self.settings.share,
-            self._limits.jerk * self.settings.share,
-            self._dt,
-        )
-        if new.shape[0] == 0:
+        if new is None:
             self.refused += 1
             return None
-        now = self._index(now_ns)
-        begin = now - self._overlap
-        oldest = min(max(self._first, now - self._history), begin)
-        self._states = np.concatenate([self._rows(oldest, branch), new[1:]])
-        self._first = oldest
+        branch_ns = new[0].t_ns
+        begin_ns = (now_ns // GRID_NS) * GRID_NS - round(1e9 * OVERLAP_S)
+        oldest_ns = begin_ns - round(1e9 * HISTORY_S)
+        begin = self._state(begin_ns + GRID_NS)
+        kept = [knot for knot in self._knots if knot.t_ns < branch_ns]
+        between = [knot for knot in kept if knot.t_ns > begin.t_ns]
+        sent = [begin, *between, *new]
+        old = [knot for knot in kept if knot.t_ns > oldest_ns]
+        kept = [self._state(oldest_ns), *old]
+        self._knots = [*kept, *new]
         self._sent_ns = now_ns
-        states = self._states[begin + 1 - oldest :]
-        joints = joint_states(*shape, np.ascontiguousarray(states))
+        states = np.array([(knot.s, knot.v, knot.a) for knot in sent])
         return PlannedTrajectory(
-            stamp_ns=(self._epoch_ns or 0) + begin * self._dt_ns,
-            times_s=np.arange(1, len(states) + 1, dtype=np.float64) * self._dt,
-            q=joints[:, 0],
-            dq=joints[:, 1],
-            ddq=joints[:, 2],
+            stamp_ns=begin_ns,
+            times_s=np.array([1e-9 * (knot.t_ns - begin_ns) for knot in sent]),
+            q=line.start + states[:, :1] * line.slope,
+            dq=states[:, 1:2] * line.slope,
+            ddq=states[:, 2:] * line.slope,
             names=self._arm.names,
-            branch_s=(branch - begin) * self._dt,
+            branch_s=1e-9 * (branch_ns - begin_ns),
         )

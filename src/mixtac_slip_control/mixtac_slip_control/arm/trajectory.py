@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from mixtac_events.packets import CDR_LITTLE_ENDIAN
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.errors import ArmError
 
 Floats = NDArray[np.float64]
 
@@ -65,8 +65,8 @@ class ArmState:
         stamp_s: Time of the measurement [s], on the clock of trajectories.
         q: Measured joint positions (n,) [rad].
         dq: Measured joint velocities (n,) [rad/s].
-        commanded: Commanded joint positions (n,) [rad]; None where the backend does not
-            know them.
+        commanded: Commanded joint positions (n,) [rad]; None where the backend does not report
+            them.
     """
 
     stamp_s: float
@@ -107,26 +107,48 @@ def serialised(trajectory: PlannedTrajectory) -> bytes:
     return CDR_LITTLE_ENDIAN + bytes(2) + text + points
 
 
+PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
+"""Largest acceleration of a quintic from rest to rest, times its squared duration over its way."""
+PEAK_JERK: Final = 60.0
+"""Largest jerk of such a quintic, times its cubed duration over its way."""
+PEAK_SPEED: Final = 1.875
+"""Largest speed of such a quintic, times its duration over its way."""
+
+
+def settling_time(way: float, velocity: float, acceleration: float, jerk: float) -> float:
+    """Return the time in which a quintic from rest to rest keeps the limits [s].
+
+    Args:
+        way: Largest motion of a joint [rad].
+        velocity: Limit of the joint's speed [rad/s].
+        acceleration: Limit of its acceleration [rad/s2].
+        jerk: Limit of its jerk [rad/s3].
+    """
+    return max(
+        PEAK_SPEED * way / velocity,
+        math.sqrt(PEAK_ACCELERATION * way / acceleration),
+        float(np.cbrt(PEAK_JERK * way / jerk)),
+    )
+
+
 def settling_trajectory(
-    arm: SerialArm, q: Floats, now_s: float, duration_s: float = 0.5
+    arm: SerialArm, q: Floats, now_s: float, duration_s: float
 ) -> PlannedTrajectory:
     """Return a trajectory of one point that leads a controller from its last command to rest at q.
 
-    A controller's command differs from the measured positions by what the arm sags. The planner
-    must start from the command: send this with the measured positions, wait until it ends, then
-    reset the planner with the same positions. At 2 mrad and 0.5 s it takes 0.05 rad/s2.
+    The command of a controller differs from the measured positions by the sag of the arm, but the
+    planner must start from the command. Send this trajectory with the measured positions, wait
+    until it ends, then let the planner move.
 
     Args:
         arm: The arm.
         q: Joint positions to settle at (n,) [rad].
         now_s: Present time [s], on the controller's clock.
-        duration_s: Time until it is there [s].
+        duration_s: Time until the arm is there [s], see `settling_time`.
 
     Raises:
-        ArmError: Invalid joint positions, or a duration out of range.
+        ArmError: Invalid joint positions.
     """
-    if not 0.05 <= duration_s <= 10.0:
-        raise ArmError(f'settling in {duration_s} s: give 0.05 to 10 s')
     goal, rest = arm.checked(q)[None], np.zeros((1, arm.dof))
     return PlannedTrajectory(
         stamp_ns=round(now_s * 1e9),

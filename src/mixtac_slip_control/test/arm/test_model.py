@@ -4,61 +4,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
-from mixtac_node.parameters import ParameterError
-from mixtac_slip_control.arm import planner as planning
+from mixtac_events.errors import MixtacError
 from mixtac_slip_control.arm.kinematics import SerialArm, fr3_urdf
-from mixtac_slip_control.arm.model import TrajectoryBackend, make_arm, open_backend
-from mixtac_slip_control.errors import BackendError, SlipControlError
+from mixtac_slip_control.arm.model import (
+    TrajectoryBackend,
+    make_arm,
+    open_backend,
+    unsafe_setting,
+)
+from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
-
-
-def stretched(kind: str) -> str:
-    """Return the URDF of an arm that is singular in the middle of its joints' ranges."""
-    text = '<robot name="r">'
-    for i, axis in enumerate(('0 0 1', '0 1 0', '0 1 0', '0 1 0', '0 0 1')):
-        text += (
-            f'<joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
-            f'<origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'
-            '<limit lower="-6.28" upper="6.28" velocity="2"/></joint>'
-        )
-    return text + '</robot>'
 
 
 def test_none_is_no_arm() -> None:
     assert make_arm(SlipControlParameters()) is None
 
 
-def test_libfranka_is_an_fr3_with_that_backend() -> None:
-    chosen = SlipControlParameters(arm='libfranka')
-    assert (chosen.model, chosen.backend) == ('fr3', 'libfranka')
-    assert SlipControlParameters(arm='fr3').backend == 'trajectory'
-    assert make_arm(chosen) is not None
-    with pytest.raises(ParameterError):
-        SlipControlParameters(arm='libfranka', arm_backend='my_arm')
-
-
-def test_the_planner_takes_its_settings_from_the_parameters() -> None:
-    parts = make_arm(SlipControlParameters(arm='fr3', lead=4e-3, interval=3e-3, max_speed=0.01))
-    assert parts is not None
-    settings = parts.planner.settings
-    assert (settings.lead_s, settings.interval_s, settings.max_speed) == (4e-3, 3e-3, 0.01)
-    with pytest.raises(ParameterError):
-        SlipControlParameters(lead=3e-3, controller_period=2e-3)
-
-
 def test_the_normal_turns_with_the_tool() -> None:
-    tool = make_arm(SlipControlParameters(arm='fr3', normal_z=2.0))
-    base = make_arm(SlipControlParameters(arm='fr3', normal_frame='base', normal_x=1.0, normal_z=0))
+    tool = make_arm(SlipControlParameters(arm='fr3', normal='0 0 2'))
+    base = make_arm(SlipControlParameters(arm='fr3', normal_frame='base', normal='1 0 0'))
     assert tool is not None
     assert base is not None
     # In its ready pose the flange of the FR3 looks straight down.
@@ -86,65 +58,32 @@ def test_an_arm_from_a_file_plans(tmp_path: Path) -> None:
     parts = make_arm(SlipControlParameters(arm=str(path)))
     assert parts is not None
     parts.planner.reset(READY, parts.normal(READY))
-    planned = parts.planner.plan(10.0, 1e-4, parts.normal(READY))
+    planned = parts.planner.plan(10.0, 1e-4)
     assert planned is not None
     moved = parts.arm.pose(planned.q[-1])[:3, 3] - parts.arm.pose(READY)[:3, 3]
     assert moved == pytest.approx([0.0, 0.0, -1e-4], abs=1e-7)
-
-
-@pytest.mark.parametrize('kind', ['fr3', 'revolute', 'continuous'])
-def test_what_plans_and_stops_has_run_once_before_it_is_needed(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = set()
-
-    def noted(name: str) -> None:
-        kernel = getattr(planning, name)
-
-        def run(*given: object) -> object:
-            ran.add(name)
-            return kernel(*given)
-
-        monkeypatch.setattr(planning, name, run)
-
-    kernels = {'replan', 'joint_states', 'stopping_distance'}
-    for name in kernels:
-        noted(name)
-    path = tmp_path / 'arm.urdf'
-    path.write_text(fr3_urdf() if kind == 'fr3' else stretched(kind))
-    parts = make_arm(SlipControlParameters(arm=str(path), joint_acceleration=0.1, lead=0.2))
-    assert parts is not None
-    assert ran == kernels
-    assert parts.planner.path is None
 
 
 @pytest.mark.parametrize(
     'bad',
     [
         {'arm': '/no/such/file.urdf'},
-        {'arm': 'fr3', 'normal_z': 0.0},
+        {'arm': 'fr3', 'normal': '0 0 0'},
         {'arm': 'fr3', 'workspace': '1 2 3'},
         {'arm': 'fr3', 'workspace': '1 0 0 1 0 1'},
     ],
 )
 def test_what_is_no_arm_is_refused(bad: dict[str, object]) -> None:
-    with pytest.raises(SlipControlError):
+    with pytest.raises(MixtacError):
         make_arm(SlipControlParameters(**bad))
 
 
 FOREIGN = """
-class Arm:
+from mixtac_slip_control.arm.model import ArmBackend
+
+class Arm(ArmBackend):
     def __init__(self, parameters, arm):
-        self.address, self.joints = parameters.arm_address, arm.names
-
-    def state(self):
-        return None
-
-    def send(self, trajectory):
-        pass
-
-    def stop(self):
-        pass
+        self.lead, self.joints = parameters.lead, arm.names
 """
 
 
@@ -162,20 +101,14 @@ def foreign_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures('foreign_package')
 def test_a_backend_of_another_package_is_found_by_its_entry_point() -> None:
     arm = SerialArm.fr3()
-    parameters = SlipControlParameters(arm='fr3', arm_backend='foreign', arm_address='10.0.0.7')
+    parameters = SlipControlParameters(arm='fr3', arm_backend='foreign', lead=8e-3)
     backend = open_backend(parameters, arm)
-    assert (backend.address, backend.joints) == ('10.0.0.7', arm.names)
+    assert (backend.lead, backend.joints) == (8e-3, arm.names)
+    backend.stop()
     with pytest.raises(BackendError) as caught:
         open_backend(SlipControlParameters(arm_backend='other'), arm)
-    for name in ('trajectory', 'libfranka', 'foreign'):
+    for name in ('trajectory', 'foreign'):
         assert name in caught.value.remedy
-
-
-def test_libfranka_asks_for_an_address() -> None:
-    parameters = SlipControlParameters(arm='fr3', arm_backend='libfranka')
-    with pytest.raises(BackendError) as caught:
-        open_backend(parameters, SerialArm.fr3())
-    assert 'arm_address' in caught.value.remedy
 
 
 def test_joints_are_picked_by_name() -> None:
@@ -196,3 +129,46 @@ def test_trajectories_are_published() -> None:
     sent = []
     TrajectoryBackend(('a',), sent.append).send('trajectory')
     assert sent == ['trajectory']
+
+
+SAFE = {
+    'interpolate_from_desired_state': True,
+    'allow_trajectory_replacement': False,
+    'positions_upsampling.enable': False,
+    'set_last_command_interface_value_as_state_on_activation': False,
+    'interpolation_method': 'splines',
+}
+
+
+@pytest.mark.parametrize(
+    ('change', 'named'),
+    [
+        ({}, ''),
+        ({'allow_trajectory_replacement': True}, 'allow_trajectory_replacement'),
+        ({'positions_upsampling.enable': True}, 'positions_upsampling.enable'),
+        ({'interpolation_method': 'none'}, 'interpolation_method'),
+        ({'interpolate_from_desired_state': False}, 'interpolate_from_desired_state'),
+        # Kilted and Jazzy have no replacement and no upsampling; Humble has only the last name.
+        ({'allow_trajectory_replacement': None, 'positions_upsampling.enable': None}, ''),
+        ({'interpolate_from_desired_state': None, 'open_loop_control': True}, ''),
+        ({'interpolate_from_desired_state': None}, 'interpolate_from_desired_state'),
+        (
+            {'set_last_command_interface_value_as_state_on_activation': True},
+            'set_last_command_interface_value_as_state_on_activation',
+        ),
+    ],
+)
+def test_an_unsafe_parameter_of_the_controller_is_named(
+    change: dict[str, object], named: str
+) -> None:
+    found = unsafe_setting(SAFE | change)
+    assert bool(found) == bool(named)
+    assert named in found
+
+
+def test_the_shipped_yaml_has_the_safe_settings() -> None:
+    path = Path(__file__).resolve().parents[4] / 'config' / 'franka' / 'fr3_controllers.yaml'
+    shipped = yaml.safe_load(path.read_text())['/**']['fr3_arm_controller']['ros__parameters']
+    flat = {'positions_upsampling.enable': shipped['positions_upsampling']['enable'], **shipped}
+    assert {name: flat[name] for name in SAFE} == SAFE
+    assert unsafe_setting(flat) == ''

@@ -11,6 +11,7 @@ from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.trajectory import (
     PlannedTrajectory,
     serialised,
+    settling_time,
     settling_trajectory,
 )
 from mixtac_slip_control.errors import ArmError
@@ -41,13 +42,22 @@ def test_ros_reads_every_field(count, names):
     assert since == [divmod(999_000_000 + 1_000_000 * k, 1_000_000_000) for k in range(count)]
 
 
-def test_settling_leads_a_sagging_command_onto_the_measured_positions():
-    arm, sagged = SerialArm.fr3(), READY + 2e-3
+def test_settling_leads_a_sagging_command_onto_the_measured_positions_within_the_limits():
+    arm, sag = SerialArm.fr3(), 5e-3
+    seconds = settling_time(sag, 2.0, 9.5, 4750.0)
     controller = JointTrajectoryController()
     controller.reset(READY, 1.0)
-    assert controller.accept(settling_trajectory(arm, sagged, 1.0), 1.0) is None
+    assert controller.accept(settling_trajectory(arm, READY + sag, 1.0, seconds), 1.0) is None
     q = np.array([controller.sample(1.0 + k * 1e-3)[0] for k in range(600)])
     assert violations(q, 1e-3) == 0
-    assert np.allclose(q[-1], sagged, atol=1e-12)
+    assert np.allclose(q[-1], READY + sag, atol=1e-12)
+    # Twice the sag in this time breaks a limit: the time is no longer than it must be.
+    controller.reset(READY, 1.0)
+    controller.accept(settling_trajectory(arm, READY + 2.0 * sag, 1.0, seconds), 1.0)
+    q = np.array([controller.sample(1.0 + k * 1e-3)[0] for k in range(600)])
+    assert violations(q, 1e-3) > 0
+
+
+def test_settling_at_positions_of_another_arm_is_refused():
     with pytest.raises(ArmError):
-        settling_trajectory(arm, READY, 1.0, 0.0)
+        settling_trajectory(SerialArm.fr3(), np.zeros(6), 1.0, 0.1)
