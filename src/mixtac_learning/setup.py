@@ -22,11 +22,6 @@ setup(
     description="Training, adaptation and evaluation of Mixtac's force estimators",
     license='Apache-2.0',
     entry_points={
-        'mixtac.commands': [
-            'train = mixtac_learning.commands:train',
-            'evaluate = mixtac_learning.commands:evaluate',
-            'adapt = mixtac_learning.commands:adapt',
-        ],
         'mixtac.estimators': ['fger_paper = mixtac_learning.paper.live:PaperEstimator'],
     },
 )

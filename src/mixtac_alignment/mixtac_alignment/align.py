@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A recording, and its clock map by the most precise method that its data allow.
+"""A recording, and its clock map by two taps or by the edges of a trigger line.
 
 Where a trigger line gives edges to the camera and to the reference sensor, these are exact to
 microseconds, but an edge of one recording has no name in the other: the map is the one under which
@@ -11,25 +11,22 @@ recordings hold the same number.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock, with_drift_prior
-from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError, RefinementError
-from mixtac_alignment.gel_lag import GelLag
+from mixtac_alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
+from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_alignment.refinement import Refinement, refine
-from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
-from mixtac_alignment.two_impulse import FORCE_GAP_S, fit_counts
+from mixtac_alignment.taps import fit_taps
+from mixtac_alignment.two_impulse import FORCE_GAP_S
 
 Floats = NDArray[np.float64]
 
 
-Method = Literal['refined', 'two_impulse', 'paper', 'edges']
+Method = Literal['taps', 'edges']
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,56 +59,36 @@ class Recording:
 def align(
     recording: Recording,
     parameters: AlignmentParameters = DEFAULTS,
-    lag: GelLag | None = None,
     *,
-    method: Method = 'refined',
+    method: Method = 'taps',
     use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
-) -> tuple[ClockFit, Refinement | None]:
+) -> ClockFit:
     """Fit the clock map of a recording.
 
     Args:
         recording: The recording.
-        parameters: What counts as an impulse, latencies, limits of clocks.
-        lag: What is known of the gel.
-        method: `refined` fits taps and refines the map with the frames, where there are enough of
-            them; `two_impulse` fits taps alone; `paper` fits their force peaks and event troughs
-            alone; `edges` fits the edges of a trigger line instead of taps.
+        parameters: Definition of an impulse, latencies, limits of clocks.
+        method: `taps` fits the two synchronising impulses, `edges` the edges of a trigger line.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
         max_gap_s: Longest stretch without force samples [s].
-
-    Returns:
-        The best map, and the refinement if it is one.
 
     Raises:
         AlignmentError: No trustworthy map.
     """
     if method == 'edges':
         edges = recording.edges_us, recording.reference_edges_s
-        return fit_edges(*edges, complete=recording.all_edges), None
-    counts, events, frames = recording.counts, recording.events, recording.frames
-    force = (recording.force_t_s, recording.force)
-    fit = partial(fit_counts, counts, *force, parameters, use_all=use_all, max_gap_s=max_gap_s)
-    few = frames is None or len(frames.start_us) < FEWEST_FRAMES
-    if frames is None or method == 'paper' or (method == 'two_impulse' and few):
-        return fit(), None
-    # Memory may hold fewer events than their counts: the first tap may be missing.
-    forgotten = not len(events.t_us) or events.start_us > counts.start_us + 500_000
-    if method == 'refined' and (few or forgotten):
-        first = with_drift_prior(fit(), parameters.drift_std_rate)
-    else:
-        first = fit_taps(
-            *(counts, events, frames, *force, parameters, lag),
-            use_all=use_all,
-            max_gap_s=max_gap_s,
-        )
-    if method == 'two_impulse':
-        return first, None
-    try:
-        refined = refine(first, frames, *force, lag)
-    except RefinementError:
-        return first, None
-    return refined.fit, refined
+        return fit_edges(*edges, complete=recording.all_edges)
+    return fit_taps(
+        recording.counts,
+        recording.events,
+        recording.frames,
+        recording.force_t_s,
+        recording.force,
+        parameters,
+        use_all=use_all,
+        max_gap_s=max_gap_s,
+    )
 
 
 FEWEST_EDGES: Final = 3
@@ -122,9 +99,11 @@ TOLERANCE_S: Final = 2e-3
 """Edges further apart than this, and the drift, are not the same."""
 RIVAL: Final = 0.9
 """Share of the most edges that meet from which on another way to meet is a rival."""
-TRIED, NEIGHBOURS = 20, 8
-"""Edges, spread over the recording, for which a partner is looked for; edges before and after each
-by which the likeliest partners, as many, are found: trying all pairs takes minutes."""
+TRIED: Final = 20
+"""Edges, spread over the recording, for which a partner is looked for, and partners tried for each:
+trying all pairs takes minutes."""
+NEIGHBOURS: Final = 8
+"""Edges before and after each that show its likeliest partners."""
 
 
 def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int64]) -> bool:

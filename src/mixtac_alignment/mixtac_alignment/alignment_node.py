@@ -180,8 +180,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             reference_edges_s=reference[:, 0] / 1e9,
             all_edges=arrived_together(camera[:, 1], reference[:, 1]),
         )
-        method: Method = 'edges' if p.use_edges else 'refined'
-        self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
+        method: Method = 'edges' if p.use_edges else 'taps'
+        self._fit = align(recording, p, method=method, use_all=p.use_all)
         self._restarts = self._clock_restarts
         message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()

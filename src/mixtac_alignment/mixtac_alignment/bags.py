@@ -1,47 +1,36 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Clock maps of bags: reading what a fit needs, sensors with several bags, results on disk.
+"""Clock maps of bags: reading what a fit needs, and results on disk.
 
 `read_recording` reduces a bag in one pass. A bag has a packet every millisecond; building a message
 for each and reducing it by itself would take most of the time of `mixtac align`, so packets are
 read in their serialised form, in batches.
-
-`sensor_timings` pools the recordings of one sensor, which `dataset.yaml` beside the bags names: lag
-of its gel, latency of its events. One recording may show them badly (slow motion) and another well
-(a dropped load). The weights of the gel's responses in each recording are taken as a measurement
-with a covariance; what the prior contributed is taken out again, so that the prior counts once. The
-latency is the mean delay of the taps under the refined maps.
 
 `write_fit` writes a map beside its bag, `rewrite_bag` copies a bag onto one clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_alignment.align import Recording, align, arrived_together
+from mixtac_alignment.align import Recording, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError, GapError
-from mixtac_alignment.gel_lag import GelLag
 from mixtac_alignment.histories import (
     BIN_US,
     RESTART_US,
     CellEvents,
     EventCounts,
     EventHistory,
-    ForceHistory,
     FrameHistory,
     by_cell,
     reduce_frame,
 )
-from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_alignment.refinement import Refinement
 from mixtac_events.arrays import Events
 from mixtac_events.codec import StreamDecoder
 from mixtac_events.errors import MixtacError
@@ -53,9 +42,10 @@ from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_recordings.bag import BagFile, check_new, custom_data, fit_path, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
-from mixtac_recordings.dataset import described_trial
 from mixtac_recordings.recording import RecordingError
 
+RESTART_NS: Final = 1000 * RESTART_US
+"""Step back of a stamp from which the clock has restarted [ns]."""
 BATCH: Final = 256
 """Packets that are reduced at once."""
 
@@ -234,16 +224,19 @@ def _force(
     samples: list[tuple[int, float]], where: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the samples that the node would keep: times [s] and normal forces [N]."""
-    # Counts and force are kept however long the bag is.
-    history = ForceHistory(1e9, max(len(samples), 1))
-    for stamp_ns, normal in samples:
-        history.push(stamp_ns, (0.0, 0.0, normal))
-    if history.restarts:
+    stamps = np.array([stamp for stamp, _ in samples], np.int64)
+    forces = np.array([normal for _, normal in samples], np.float64)
+    known = np.isfinite(forces) & (stamps > 0)
+    stamps, forces = stamps[known], forces[known]
+    back = np.diff(stamps)
+    if (back < -RESTART_NS).any():
         raise GapError(
-            f'{where}: the clock of the force sensor went back {history.restarts} times',
+            f'{where}: the clock of the force sensor went back',
             remedy='record again, and do not restart the force sensor between the taps',
         )
-    return history.snapshot('z')
+    # Late samples are sorted in, repeated ones dropped.
+    stamps, first = np.unique(stamps, return_index=True)
+    return stamps / 1e9, forces[first]
 
 
 def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
@@ -252,129 +245,6 @@ def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
     except ImageConversionError as error:
         raise RecordingError(f'frames cannot be read: {error}') from error
     return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-
-
-TAP_SCATTER_S: Final = 4.5e-4
-"""Scatter of the taps of one sensor about their mean latency [s]."""
-LATENCY_FLOOR_S: Final = 1.5e-4
-"""Least standard deviation of a pooled latency [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class SensorTiming:
-    """Constants of one sensor.
-
-    Attributes:
-        lag: Lag of its gel.
-        parameters: Parameters with the latency of its events and its remaining uncertainty.
-    """
-
-    lag: GelLag
-    parameters: AlignmentParameters
-
-
-def pool_lag(refinements: Sequence[Refinement], prior: GelLag | None = None) -> GelLag:
-    """Return the lag of the gel that recordings of one sensor show together.
-
-    Args:
-        refinements: Refinements that were made with the prior.
-        prior: What was known before.
-    """
-    known = prior or GelLag()
-    prior_precision = np.diag(1.0 / np.array(known.std) ** 2)
-    precision, moment = prior_precision.copy(), prior_precision @ np.array(known.mean)
-    for each in refinements:
-        own = np.linalg.inv(each.lag_covariance)
-        size, axes = np.linalg.eigh(own - prior_precision)
-        gained = axes @ np.diag(np.maximum(size, 0.0)) @ axes.T
-        shown = np.linalg.pinv(gained, rcond=1e-9, hermitian=True) @ (
-            own @ np.array(each.lag.mean) - prior_precision @ np.array(known.mean)
-        )
-        precision += gained
-        moment += gained @ shown
-    covariance = np.linalg.inv(precision)
-    return GelLag(
-        tuple(map(float, covariance @ moment)), tuple(map(float, np.sqrt(np.diag(covariance))))
-    )
-
-
-def pool_latency(
-    refinements: Sequence[Refinement], parameters: AlignmentParameters = DEFAULTS
-) -> AlignmentParameters:
-    """Return parameters with the latency of one sensor's events.
-
-    Args:
-        refinements: Refinements whose anchors are taps fitted with the same parameters.
-        parameters: Those.
-    """
-    precision = 1.0 / parameters.tap_latency_std_s**2
-    moment = 0.0
-    for each in refinements:
-        camera_us = np.array([anchor.camera_us for anchor in each.fit.anchors])
-        late = -float(np.mean(each.fit.residuals_s))
-        middle = int(camera_us.mean())
-        variance = float(each.fit.std_at(middle)) ** 2 + TAP_SCATTER_S**2 / len(camera_us)
-        precision += 1.0 / variance
-        moment += late / variance
-    return replace(
-        parameters,
-        tap_latency=1e3 * (parameters.tap_latency_s + moment / precision),
-        tap_latency_std=1e3 * float(np.hypot(precision**-0.5, LATENCY_FLOOR_S)),
-    )
-
-
-def pool_sensor(refinements: Sequence[Refinement]) -> SensorTiming:
-    """Return the constants of a sensor from its recordings.
-
-    Args:
-        refinements: Refinements of its recordings, made with the defaults.
-    """
-    return SensorTiming(pool_lag(refinements), pool_latency(refinements))
-
-
-SENSOR_KEYS: Final = ('device_seed', 'serial')
-"""Keys that name the sensor of a recording: in simulated data sets, in recorded ones."""
-FEWEST: Final = 2
-"""Fewest recordings of a sensor that are pooled."""
-
-
-def sensor_timings(
-    bags: Iterable[Path], reference: str, namespace: str
-) -> dict[Path, SensorTiming]:
-    """Return the constants of the sensor of each bag, for sensors with two refined bags or more.
-
-    Args:
-        bags: Bags; `dataset.yaml` beside them names the sensor of each.
-        reference: Topic of the reference force.
-        namespace: Namespace of the camera's topics.
-
-    Bags that are refused or whose sensor is unknown are left out.
-    """
-    sensors: dict[str, list[Path]] = {}
-    found: dict[str, list[Refinement]] = {}
-    for bag in bags:
-        sensor = sensor_of(bag)
-        if sensor is None:
-            continue
-        sensors.setdefault(sensor, []).append(bag)
-        try:
-            refinement = align(read_recording(bag, reference, namespace))[1]
-        except MixtacError:
-            continue
-        if refinement is not None:
-            found.setdefault(sensor, []).append(refinement)
-    timings = {name: pool_sensor(parts) for name, parts in found.items() if len(parts) >= FEWEST}
-    return {bag: timings[name] for name, of in sensors.items() if name in timings for bag in of}
-
-
-def sensor_of(bag: Path) -> str | None:
-    """Return which sensor a bag was recorded with, by `dataset.yaml` beside it; None if unknown."""
-    try:
-        entry = described_trial(bag)
-    except MixtacError:
-        return None
-    devices = (entry.get(key) for key in SENSOR_KEYS)
-    return next((str(device) for device in devices if device not in (None, '')), None)
 
 
 SCHEMA: Final = 1

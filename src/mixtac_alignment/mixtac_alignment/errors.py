@@ -31,13 +31,5 @@ class DriftError(AlignmentError):
     """A clock drift that no pair of working clocks has."""
 
 
-class RefinementError(AlignmentError):
-    """A recording with too little data to refine a clock map."""
-
-
-class InconsistentFitError(AlignmentError):
-    """Parts of a recording that contradict each other about the clocks."""
-
-
 class GapError(AlignmentError):
     """Data missing where they are needed, or a clock that jumped."""

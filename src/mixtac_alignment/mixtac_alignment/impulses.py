@@ -1,29 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Synchronising impulses: found in the force and in the event rate, and paired.
+"""Synchronising impulses: force peaks, and the pairing of impulses of two recordings.
 
-An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the camera sees two
-bursts of events, loading and unloading, with a trough between them where the silicone stands still
-at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
-Data). The events come later than that: the deformation of the silicone lags the force, and the
-darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency`)
-and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz)
-cannot be separated from the offset `b` and stays in it: a camera time maps to the stamp of the
-sample that shows the force of that moment.
+An impulse is a sharp tap on the sensor. The force sensor sees a short peak, the camera a burst of
+events. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz) cannot be
+separated from the offset `b` and stays in it: a camera time maps to the stamp of the sample that
+shows the force of that moment.
 
-The moment of stillness is taken from the falling flank of the loading burst, not from the middle of
-the trough, which is late. A pixel that has fired on the way in must come back by two thresholds
-before it fires on the way out, so that the second burst starts late, by milliseconds for gentle or
-slow taps; and the way out is often slower than the way in. While the motion keeps its direction,
-the event rate is proportional to its speed, which falls linearly to zero at the largest
-deformation. The anchor is therefore where the falling flank of the first burst, extended, meets the
-rate at rest.
-
-Which impulse of one recording is which of the other is found with nothing known about the clocks.
-`prefer_isolated` first leaves out impulses without stillness on both sides: a deliberate tap has
-it, a bouncing load has not. Every two impulses of one recording laid over two of the other then
-propose a map, if the time between them agrees within the drift that clocks may have. The map under
-which most impulses meet wins (`pair_impulses`).
+The pairing needs no knowledge of the clocks. `prefer_isolated` first leaves out impulses without
+stillness on both sides: a deliberate tap has it, a bouncing load has not. Two impulses of one
+recording laid over two of the other propose a map, if the time between them agrees within the drift
+that clocks may have. The map under which most impulses meet wins (`pair_impulses`).
 """
 
 from __future__ import annotations
@@ -36,16 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError, AmbiguousImpulsesError, NoImpulseError
-from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_alignment.signals import gaussian_smooth, noise_std, pressing_sign, prominent_peaks
+from mixtac_alignment.signals import noise_std, pressing_sign, prominent_peaks
 
 MIN_SPACING_S: Final = 0.3
 """Of impulses closer than this, bounces mostly, the strongest counts [s]."""
-MAX_TROUGH_RATIO: Final = 0.6
-"""Largest rate in a trough, as a part of the weaker burst."""
-READOUT_RATE: Final = 1.0e7
-"""Rate from which the camera's readout delays events [events/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,151 +155,6 @@ def _require_recording(t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -
         raise AlignmentError('force recording holds NaN or infinity: remove these samples')
     if not np.all(np.diff(t_s) > 0.0):
         raise AlignmentError('force sample times do not increase: sort them and drop repeats')
-
-
-FLANK: Final = (0.12, 0.4)
-"""Parts of the burst's height between which its flank is straight: below, the smoothing rounds it;
-above, the speed of most taps is curved."""
-FEWEST_BINS: Final = 4
-LARGEST_STD_BINS: Final = 2.0
-"""A line through bins that is less certain than this is none."""
-LEVELS: Final = np.arange(0.7, 0.15, -0.1)
-"""Parts of the burst's height at which the flank is timed where its bins form no line: many pixels
-with nearly the same threshold make plateaus."""
-
-
-def stillness(
-    rate: NDArray[np.float64],
-    smooth: NDArray[np.float64],
-    trough: int,
-    depth: float,
-    rest: float,
-) -> tuple[float, float]:
-    """Return when the flank before a trough runs out, and its standard deviation, in bins.
-
-    Args:
-        rate: Event rate per bin.
-        smooth: The same, smoothed.
-        trough: Bin of the trough.
-        depth: Height of the weaker burst over the trough.
-        rest: Rate at rest.
-
-    Returns:
-        Position on the axis where bin k covers ``[k, k + 1)``; between the burst and the end of the
-        trough.
-    """
-    burst = _burst_before(smooth, trough, smooth[trough] + 0.9 * depth)
-    first, last = _flank(smooth, burst, trough)
-    at = np.arange(first, last, dtype=np.float64) + 0.5
-    fitted = _run_out(at, rate[first:last] - rest)
-    poor = fitted[1] > LARGEST_STD_BINS
-    position, std = _timed_run_out(smooth, burst, trough, rest) if poor else fitted
-    inside = float(np.clip(position, burst + 0.5, trough + (trough - burst)))
-    return inside, std + abs(position - inside)
-
-
-def _burst_before(smooth: NDArray[np.float64], trough: int, level: float) -> int:
-    """Return the top of the burst before a trough."""
-    at = trough
-    while at > 0 and smooth[at] < level:
-        at -= 1
-    while at > 0 and smooth[at - 1] > smooth[at]:
-        at -= 1
-    return at
-
-
-def _flank(smooth: NDArray[np.float64], burst: int, trough: int) -> tuple[int, int]:
-    """Return the range of bins of the straight part between a burst and a trough."""
-    height = smooth[burst] - smooth[trough]
-    part = (smooth[burst : trough + 1] - smooth[trough]) / height
-    first = burst + int(np.flatnonzero(part >= FLANK[1])[-1])
-    last = first + int(np.flatnonzero(part[first - burst :] <= FLANK[0])[0]) + 1
-    missing = max(0, FEWEST_BINS - (last - first))
-    return max(0, first - (missing + 1) // 2), min(len(smooth), last + missing // 2)
-
-
-def _run_out(at: NDArray[np.float64], height: NDArray[np.float64]) -> tuple[float, float]:
-    """Return where a falling line through samples reaches zero, and its standard deviation."""
-    middle = float(at.mean())
-    u = at - middle
-    slope = float(u @ height) / float(u @ u)
-    mean = float(height.mean())
-    if slope >= -1e-9 * (1.0 + abs(mean)):
-        return middle, float(np.ptp(at))
-    scatter = height - mean - slope * u
-    variance = float(scatter @ scatter) / max(1, len(at) - 2)
-    beyond = -mean / slope
-    spread = variance / slope**2 * (1.0 / len(at) + beyond**2 / float(u @ u))
-    return middle + beyond, float(np.sqrt(spread))
-
-
-def _timed_run_out(
-    smooth: NDArray[np.float64], burst: int, trough: int, rest: float
-) -> tuple[float, float]:
-    """Return the same from the times at which the rate last falls through each level.
-
-    Times are regressed on levels: here it is the times that scatter.
-    """
-    height = smooth[burst] - smooth[trough]
-    levels = smooth[trough] + LEVELS * height
-    span = smooth[burst : trough + 1]
-    last = np.array([np.flatnonzero(span >= level)[-1] for level in levels])
-    times = burst + last + 0.5 + (span[last] - levels) / (span[last] - span[last + 1])
-    u = levels - levels.mean()
-    slope = float(u @ times) / float(u @ u)
-    above = float(levels.mean()) - rest
-    scatter = times - times.mean() - slope * u
-    variance = float(scatter @ scatter) / (len(times) - 2)
-    spread = variance * (1.0 / len(times) + above**2 / float(u @ u))
-    return float(times.mean()) - slope * above, float(np.sqrt(spread))
-
-
-SMOOTHING_S: Final = 0.001
-"""Standard deviation of the smoothing: bursts last 2 to 20 ms, single bins scatter."""
-MODEL_STD_S: Final = 4e-4
-"""How far taps of other shapes move the end of the flank, found with threshold pixels and on
-virtual sensors; what moves all alike, the latency of the pixels, stays in the offset of a fit."""
-LARGEST_STD_S: Final = 0.0015
-"""Less certain moments of stillness are dropped [s], for example between bounces of a load."""
-QUEUE_STD_S: Final = 0.001
-"""Extra uncertainty where the readout was saturated: late events fill the trough's start."""
-
-
-def find_event_impulses(
-    counts: EventCounts, parameters: AlignmentParameters = DEFAULTS
-) -> list[Impulse]:
-    """Find troughs between two bursts, and the moment of stillness to a part of a bin.
-
-    Args:
-        counts: Event counts in bins of at most 1 ms, camera clock.
-        parameters: What counts as an impulse.
-
-    Returns:
-        Impulses in the order of time, relative to the start of the counts; none that touch a time
-        for which packets were lost, where a trough may only be missing data.
-    """
-    width_s = counts.width_us * 1e-6
-    per_second = counts.counts.astype(np.float64) / width_s
-    smooth = gaussian_smooth(per_second, SMOOTHING_S / width_s)
-    rest = float(np.median(smooth))
-    window = 2 * max(3, round(2.0 * parameters.max_width / width_s)) + 1
-    troughs = prominent_peaks(-smooth, parameters.min_burst_rate, window)
-    impulses = []
-    for trough, depth, width in zip(*troughs, strict=True):
-        burst = smooth[trough] + depth
-        if (
-            width * width_s > parameters.max_width
-            or smooth[trough] > MAX_TROUGH_RATIO * burst
-            or counts.lost_near(trough, window)
-        ):
-            continue
-        floor = min(rest, smooth[trough])
-        position, std = stillness(per_second, smooth, int(trough), float(depth), floor)
-        queued_s = QUEUE_STD_S if burst > READOUT_RATE else 0.0
-        std_s = float(np.sqrt((std * width_s) ** 2 + MODEL_STD_S**2 + queued_s**2))
-        if std_s <= LARGEST_STD_S:
-            impulses.append(Impulse(position * width_s, std_s, float(depth)))
-    return strongest(impulses, MIN_SPACING_S)
 
 
 QUIET_S: Final = 0.3

@@ -12,13 +12,13 @@ from mixtac_node.parameters import fixed, parameter
 
 @dataclass(frozen=True)
 class AlignmentParameters:
-    """What counts as an impulse, what is known of clocks and latencies, and what is remembered.
+    """Definition of an impulse, limits of clocks and latencies, and length of the history.
 
     Attributes:
         reference_topic: WrenchStamped topic of the reference force sensor; its stamps are the
             reference clock.
         reference_axis: Axis of the wrench along which taps press; the sign does not matter.
-        history: Time that is remembered; both taps must lie within it when ~/fit is called.
+        history: Length of the history; both taps must lie within it when ~/fit is called.
         reference_rate: Highest rate of the reference sensor; sizes its history.
         min_force: Smallest force peak of a tap. Lower finds gentler taps, and more false ones.
         max_width: Longest force peak or event trough of a tap, measured at half its height. Presses
@@ -28,17 +28,12 @@ class AlignmentParameters:
         min_baseline: Shortest time between the first and the last tap. The drift is known to about
             1 ms over this time.
         max_drift: Largest believable clock drift; crystals stay within 100.
-        event_latency: Delay from a force peak to the event trough that shows it: lag of the gel and
-            latency of the pixels. The default is the median of simulated sensors; less light needs
-            more.
-        event_latency_std: Standard deviation of event_latency; part of the stated uncertainty.
-        tap_latency: Delay of the events of a tap when frames are used and the whole tap is fitted.
-            `mixtac align` finds the value of a sensor from several of its recordings.
+        tap_latency: Delay of the events of a tap after the force: latency of the pixels. Less light
+            needs more.
         tap_latency_std: Standard deviation of tap_latency; part of the stated uncertainty.
         drift_std: Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each.
-            Pulls an uncertain drift towards 0; 0 disables the prior. Used with frames only: without
-            them the fit is the paper's.
-        use_frames: Refine the fit with the frames, over the whole history.
+            Pulls an uncertain drift towards 0; 0 disables the prior.
+        use_frames: Weigh the events of a tap by the frames, which show the deformation.
         use_edges: Fit edges of a trigger line instead of taps: external_edges of the driver against
             reference_edges.
         use_all: Fit all strong taps by least squares, not only the first and the last.
@@ -53,8 +48,6 @@ class AlignmentParameters:
     min_burst_rate: float = parameter(5e4, unit='1/s', within=(1e3, 1e7))
     min_baseline: float = parameter(2.0, unit='s', within=(0.5, 3600.0))
     max_drift: float = parameter(200.0, unit='ppm', within=(1.0, 10000.0))
-    event_latency: float = parameter(4.15, unit='ms', within=(0.0, 50.0))
-    event_latency_std: float = parameter(0.7, unit='ms', within=(0.0, 50.0))
     tap_latency: float = parameter(1.3, unit='ms', within=(0.0, 50.0))
     tap_latency_std: float = parameter(1.0, unit='ms', within=(0.0, 50.0))
     drift_std: float = parameter(50.0, unit='ppm', within=(0.0, 10000.0))

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import NoImpulseError
-from mixtac_alignment.gel_lag import GelLag, LaggedForce
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, ImpulsePair, strongest
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
@@ -124,6 +123,39 @@ def depth_of(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(force + LEAST_FORCE_N) - np.sqrt(LEAST_FORCE_N))
 
 
+LAG_TIMES_S: Final = (0.7e-3, 4.1e-3, 0.055, 1.05, 20.0)
+"""Retardation times of a soft silicone [s]."""
+LAG_WEIGHTS: Final = (0.26, 0.26, 0.035, 0.035, 0.03)
+"""Weight of the response with each time."""
+
+
+def elastic_force(
+    t_s: NDArray[np.float64], force_N: NDArray[np.float64], at_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the elastic part of a force, which the deformation of the gel follows.
+
+    The force on a layer of silicone leads its deformation: F = F_e + sum h_i with
+    ``dh_i/dt = -h_i / tau_i + g_i dF_e/dt`` (quasi-linear viscoelasticity, Prony series). Expressed
+    by the force, F_e = F - sum w_i H_i, where H_i is the force after a high-pass filter with the
+    time constant T_i.
+
+    Args:
+        t_s: Times of evenly sampled force [s].
+        force_N: Force [N].
+        at_s: Times at which the elastic part is returned, in steps of `STEP_S` [s].
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import lfilter
+
+    force = CubicSpline(t_s, force_N, bc_type='natural')(at_s)
+    change = np.diff(force, prepend=force[0])
+    for time_s, weight in zip(LAG_TIMES_S, LAG_WEIGHTS, strict=True):
+        decay = float(np.exp(-STEP_S / time_s))
+        gain = time_s / STEP_S * (1.0 - decay)
+        force = force - weight * lfilter([gain], [1.0, -decay], change)
+    return np.asarray(force, np.float64)
+
+
 class TapModel:
     """Predicted events for a force profile.
 
@@ -131,7 +163,6 @@ class TapModel:
         t_s: Sample times [s], reference clock, evenly spaced, ``float64 [n]``.
         force_N: Smooth force, pressing positive [N], ``float64 [n]``.
         at_s: Time of the force peak [s].
-        lag: What is known of the gel.
         loaded: Whether the sensor has been loaded before in the recording.
     """
 
@@ -140,7 +171,6 @@ class TapModel:
         t_s: NDArray[np.float64],
         force_N: NDArray[np.float64],
         at_s: float,
-        lag: GelLag | None = None,
         *,
         loaded: bool = False,
     ) -> None:
@@ -149,8 +179,7 @@ class TapModel:
         rest = float(np.median(force[t < -0.05])) if np.any(t < -0.05) else 0.0
         start, end = max(-BEFORE_S, float(t[0]) + STEP_S), min(AFTER_S, float(t[-1]) - STEP_S)
         fine = np.arange(start, end, STEP_S)
-        mean, _ = LaggedForce(t, force - rest).mean(fine - 0.5 * STEP_S, fine + 0.5 * STEP_S)
-        depth = depth_of(mean[:, 0] - mean[:, 1:] @ np.array((lag or GelLag()).mean))
+        depth = depth_of(elastic_force(t, force - rest, fine))
         depth /= max(float(depth.max()), 1e-9)
         classes = np.stack([_events(depth, gain, loaded=loaded) for gain in GAINS])
         self._edges = np.append(fine - 0.5 * STEP_S, fine[-1] + 0.5 * STEP_S)
@@ -276,11 +305,10 @@ UNLOADED_PERCENT: Final = 5.0
 def fit_taps(
     counts: EventCounts,
     events: CellEvents,
-    frames: FrameFeatures,
+    frames: FrameFeatures | None,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
     parameters: AlignmentParameters = DEFAULTS,
-    lag: GelLag | None = None,
     *,
     use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
@@ -290,16 +318,17 @@ def fit_taps(
     Args:
         counts: Event counts, camera clock.
         events: Events around the taps at least, camera clock.
-        frames: Frames, camera clock.
+        frames: Frames, camera clock; without some twenty, the direction that the events of a tap
+            share weighs the cells.
         force_t_s: Force sample times, reference clock [s], increasing.
         force_N: Normal force [N], either sign.
         parameters: What counts as a tap, the latency of the events, limits of clocks.
-        lag: What is known of the gel.
         use_all: Fit all strong taps by least squares instead of the first and the last.
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
-        AlignmentError: As `two_impulse.fit_counts`, or taps whose events do not follow the force.
+        AlignmentError: As `two_impulse.paired_impulses`, or taps whose events do not follow the
+            force.
     """
     pairs, start_s = paired_impulses(
         *(counts, force_t_s, force_N, parameters, find_bursts),
@@ -310,10 +339,11 @@ def fit_taps(
     t_s, force = even_force(force_t_s - start_s, force_N)
     force = pressing_sign(force) * force
     force -= np.percentile(force, UNLOADED_PERCENT)
-    weight = _weights(pairs, counts.start_us, frames, t_s, force)
+    cells = int(events.cell.max(initial=0)) + 1
+    weight = _weights(pairs, counts.start_us, frames, t_s, force, cells)
     anchors = []
     for number, pair in enumerate(used):
-        model = TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0)
+        model = TapModel(t_s, force, pair.reference.time_s, loaded=number > 0)
         expected_us = counts.start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
         found, std_s = _delay(model, events, expected_us, weight)
         if found.misfit > LARGEST_MISFIT:
@@ -360,11 +390,18 @@ def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Im
 def _weights(
     pairs: tuple[ImpulsePair, ...],
     start_us: int,
-    frames: FrameFeatures,
+    frames: FrameFeatures | None,
     t_s: NDArray[np.float64],
     force: NDArray[np.float64],
+    cells: int,
 ) -> NDArray[np.float64]:
-    """Return the weights of the cells from frames laid over the force by the coarse map."""
+    """Return the weights of the cells from frames laid over the force by the coarse map.
+
+    They are 0 without enough frames.
+    """
+    unknown = np.zeros(cells)
+    if frames is None:
+        return unknown
     first, last = pairs[0], pairs[-1]
     span = last.camera.time_s - first.camera.time_s
     rate = (last.reference.time_s - first.reference.time_s) / span
@@ -372,10 +409,7 @@ def _weights(
     at = first.reference.time_s + rate * (middle - first.camera.time_s + BURST_LATENCY_S)
     inside = (at > t_s[0]) & (at < t_s[-1])
     if int(inside.sum()) < FEWEST_FRAMES:
-        raise NoImpulseError(
-            f'{int(inside.sum())} frames while the force was recorded, {FEWEST_FRAMES} are needed '
-            'to separate deformation in the events: record frames too, or use the impulses alone'
-        )
+        return unknown
     return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
 
 

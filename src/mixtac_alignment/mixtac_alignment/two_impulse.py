@@ -16,19 +16,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.clock_fit import Anchor
 from mixtac_alignment.errors import AlignmentError, GapError, NoImpulseError, SaturatedImpulseError
 from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.impulses import (
     MATCH_S,
     Impulse,
     ImpulsePair,
-    find_event_impulses,
     find_force_impulses,
     pair_impulses,
     prefer_isolated,
 )
-from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
+from mixtac_alignment.parameters import AlignmentParameters
 
 EVENT_GAP_S: Final = 0.02
 """Silence of the pixels that noise makes impossible [s]: at rest a sensor gives 20 events/ms."""
@@ -79,46 +78,6 @@ STRONG: Final = 0.02
 thirty times that of a tap."""
 
 
-def fit_counts(
-    counts: EventCounts,
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
-    parameters: AlignmentParameters = DEFAULTS,
-    *,
-    use_all: bool = False,
-    max_gap_s: float = FORCE_GAP_S,
-) -> ClockFit:
-    """Fit the clock map to the first and the last impulse of a recording.
-
-    Args:
-        counts: Event counts, camera clock.
-        force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
-        force_N: Normal force [N], either sign, ``float64``.
-        parameters: What counts as an impulse, latency of the events, limits of clocks.
-        use_all: Fit all strong impulses by least squares instead of the first and the last.
-        max_gap_s: Longest stretch without force samples [s].
-
-    Raises:
-        NoImpulseError: Fewer than two impulses in one recording, or none that match.
-        AmbiguousImpulsesError: More than one way to match.
-        SaturatedImpulseError: An impulse went over the range of the force sensor.
-        ShortBaselineError: The impulses are too close to each other.
-        DriftError: The drift is not believable.
-        AlignmentError: Arrays that are no recording.
-    """
-    pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, parameters, find_event_impulses, max_gap_s=max_gap_s
-    )
-    used = pairs if use_all else (pairs[0], pairs[-1])
-    latency_us = round(1e6 * (1e-3 * parameters.event_latency))
-    return fit_clock(
-        [_anchor(pair, counts.start_us - latency_us, start_s) for pair in used],
-        min_baseline_s=parameters.min_baseline,
-        max_drift=parameters.max_drift_rate,
-        common_std_s=1e-3 * parameters.event_latency_std,
-    )
-
-
 def paired_impulses(
     counts: EventCounts,
     force_t_s: NDArray[np.float64],
@@ -133,15 +92,18 @@ def paired_impulses(
 
     Args:
         counts: Event counts, camera clock.
-        force_t_s: As `fit_counts`.
-        force_N: As `fit_counts`.
+        force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
+        force_N: Normal force [N], either sign, ``float64``.
         parameters: What counts as an impulse, latency of the events, limits of clocks.
         find: Finds impulses in event counts in which gaps are marked, by the parameters.
         match_s: Largest disagreement of two impulses that are the same [s].
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
-        AlignmentError: As `fit_counts`.
+        NoImpulseError: Fewer than two impulses in one recording, or none that match.
+        AmbiguousImpulsesError: More than one way to match.
+        SaturatedImpulseError: An impulse went over the range of the force sensor.
+        GapError: Force samples are missing.
     """
     if len(force_t_s) == 0:
         raise AlignmentError('no force recorded: check the topic of the reference sensor')

@@ -147,11 +147,11 @@ def test_a_trial_with_frames_is_refined(node_under_test: Any) -> None:
         peer.play(trial, pause_s)
         time.sleep(0.5)
         answer, fit = peer.fit()
-        if fit is not None and fit.method == 'refined':
+        if fit is not None and fit.method == 'two_impulse':
             break
     assert answer.success, answer.message
     assert fit is not None
-    assert fit.method == 'refined'
+    assert fit.method == 'two_impulse'
     camera_us = np.array([1_000_000, 7_000_000])
     shown_us = trial.clock[0] * camera_us + trial.clock[1] + trial.reference_delay_us + OFFSET_US
     error_s = fit.to_reference(camera_us) - 1e-6 * shown_us

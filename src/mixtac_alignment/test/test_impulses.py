@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.impulses import (
     Impulse,
-    find_event_impulses,
     find_force_impulses,
     strongest,
     vertex,
@@ -59,25 +57,6 @@ def test_force_peaks_lie_between_the_samples(scene: Any, seed: int) -> None:
     assert not any(i.saturated for i in found)
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_event_troughs_are_finer_than_a_millisecond(scene: Any, seed: int) -> None:
-    case = scene(seed=seed, tap_s=0.016, latency_s=0.0)
-    events, _, _ = case.recording()
-    counts = EventCounts.of(events)
-    found = find_event_impulses(counts)
-    times = [counts.start_us + i.time_s * 1e6 for i in found]
-    assert times == pytest.approx([case.camera_us(t) for t in case.taps_s], abs=600)
-
-
 def test_slow_presses_are_no_impulses(scene: Any) -> None:
-    events, t, force = scene(taps_s=(), heights=()).recording()
+    _, t, force = scene(taps_s=(), heights=()).recording()
     assert find_force_impulses(t - t[0], force) == []
-    assert find_event_impulses(EventCounts.of(events)) == []
-
-
-def test_a_saturated_readout_widens_the_uncertainty(scene: Any) -> None:
-    weak, strong = (
-        find_event_impulses(EventCounts.of(scene(events_per_newton=k).recording()[0]))
-        for k in (5e3, 3e4)
-    )
-    assert max(i.std_s for i in weak) < 1e-3 < min(i.std_s for i in strong)

@@ -13,13 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.gel_lag import GelLag
+from mixtac_alignment import taps
 from mixtac_alignment.histories import CellEvents, EventHistory, by_cell
 from mixtac_alignment.taps import TapModel, brightening, common_course, tap_signal
 from mixtac_events.arrays import Events
 
 CELLS = 60
-RIGID = GelLag((0.0,) * 6, (1e-3,) * 6)
 
 
 def force_at(t: np.ndarray, tap_s: float) -> np.ndarray:
@@ -63,9 +62,27 @@ def pixels(
     return CellEvents(times, cells, falls[order] == 0), gains
 
 
+@pytest.fixture(autouse=True)
+def rigid_gel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The depth of the made-up pixels follows the force at once."""
+    monkeypatch.setattr(taps, 'LAG_WEIGHTS', (0.0,) * len(taps.LAG_WEIGHTS))
+
+
+def test_the_elastic_part_of_a_step_lags_it() -> None:
+    taps.LAG_WEIGHTS = (0.26, 0.26, 0.035, 0.035, 0.03)
+    t = np.arange(0.0, 0.3, 1.0 / 800.0)
+    step = (t > 0.05).astype(float)
+    at = np.arange(0.01, 0.29, taps.STEP_S)
+    found = taps.elastic_force(t, step, at)
+    first, later = (float(found[np.searchsorted(at, s)]) for s in (0.052, 0.2))
+    # Solid after all short responses have ended: what the two slowest leave.
+    assert first < 0.8 < later
+    assert later == pytest.approx(1.0 - 0.035 - 0.03, abs=0.03)
+
+
 def model_of(tap_s: float, *, loaded: bool = False) -> TapModel:
     t = np.arange(-0.3, 0.3, 1.0 / 800.0)
-    return TapModel(t, force_at(t, tap_s), 0.0, RIGID, loaded=loaded)
+    return TapModel(t, force_at(t, tap_s), 0.0, loaded=loaded)
 
 
 @pytest.mark.parametrize(('tap_s', 'delay_s'), [(0.03, 0.0), (0.024, 0.004), (0.04, -0.006)])

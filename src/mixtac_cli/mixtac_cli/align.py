@@ -18,23 +18,16 @@ from rich.progress import track
 
 from mixtac_alignment.align import Method, Recording
 from mixtac_alignment.align import align as align_recording
-from mixtac_alignment.bags import (
-    SensorTiming,
-    read_recording,
-    rewrite_bag,
-    sensor_timings,
-    write_fit,
-)
+from mixtac_alignment.bags import read_recording, rewrite_bag, write_fit
 from mixtac_alignment.clock_fit import ClockFit
-from mixtac_cli.figures import EVENTS, MARK, REFERENCE, make_table, new_figure, save_figure
+from mixtac_cli.figures import EVENTS, MARK, REFERENCE, make_table, new_axes, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic, one_of
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_recordings.bag import distinct_names, find_bags
 
-METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
-POOLED: Final = ('refined', 'two_impulse')
+METHODS: Final = ('taps', 'edges')
 CLOSE_S: Final = 0.08
 """Time shown to either side of an anchor."""
 
@@ -88,15 +81,10 @@ def align(
     method: Annotated[
         str,
         typer.Option(
-            help='refined; two_impulse: taps only; paper: only trough and peak of the taps; '
-            'edges: external_edges against reference_edges, instead of taps.',
+            help='taps: two synchronising taps; edges: external_edges against reference_edges.',
             callback=one_of(*METHODS),
         ),
-    ] = 'refined',
-    pool: Annotated[
-        bool,
-        typer.Option(help='Estimate gel lag and latency jointly from all recordings of a sensor.'),
-    ] = True,
+    ] = 'taps',
     rewrite: Annotated[
         OptionalPath, typer.Option(help='Folder for copies with the force on the camera clock.')
     ] = None,
@@ -108,10 +96,6 @@ def align(
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
     console, many = Console(markup=False), len(found) > 1
-    timings: dict[Path, SensorTiming] = {}
-    if pool and many and method in POOLED:
-        names = track(found, 'estimating sensor timing', console=console)
-        timings = sensor_timings(names, reference, namespace)
     shown = distinct_names(found)
     outcomes = [
         align_bag(
@@ -120,7 +104,6 @@ def align(
             method=cast('Method', method),
             reference=reference,
             namespace=namespace,
-            timing=timings.get(bag),
             rewrite=rewrite,
             figures=figure,
         )
@@ -142,10 +125,9 @@ def align_bag(
     bag: Path,
     *,
     name: str = '',
-    method: Method = 'refined',
+    method: Method = 'taps',
     reference: str = topics.REFERENCE,
     namespace: str = f'/{topics.DEFAULT_NAMESPACE}',
-    timing: SensorTiming | None = None,
     rewrite: Path | None = None,
     figures: Path | None = None,
 ) -> BagOutcome:
@@ -154,10 +136,9 @@ def align_bag(
     Args:
         bag: Folder of the bag.
         name: Name of the outcome, the figure and the copy; empty for that of the bag.
-        method: As in `Recording.fit`.
+        method: As in `align.align`.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics, with its leading slash.
-        timing: Known timing of the sensor.
         rewrite: Folder for a copy of the bag on one clock.
         figures: Folder for the figure.
     """
@@ -165,8 +146,7 @@ def align_bag(
     edges_only = method == 'edges'
     try:
         recording = read_recording(bag, reference, namespace, edges_only=edges_only)
-        known = () if timing is None else (timing.parameters, timing.lag)
-        fit, _ = align_recording(recording, *known, method=method)
+        fit = align_recording(recording, method=method)
         write_fit(fit, bag)
         took = time.perf_counter() - began
         if rewrite is not None:
@@ -190,16 +170,12 @@ def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) 
     Raises:
         FileError: The file cannot be written.
     """
-    figure = new_figure(11.0, 8.5, f'{title}: {fit.method}, {fit.summary()}')
-    axes = figure.subplots(3, 2)
-    for axis in axes.flat:
-        axis.spines[['top', 'right']].set_visible(False)
-    _whole(axes[0, 0], recording, fit, aligned=False)
-    _whole(axes[0, 1], recording, fit, aligned=True)
-    _close(axes[1, 0], recording, fit, 0)
-    _close(axes[1, 1], recording, fit, -1)
-    _residuals(axes[2, 0], fit)
-    _uncertainty(axes[2, 1], recording, fit)
+    figure, axes = new_axes(columns=2, rows=2, width=11.0, height=6.0)
+    figure.suptitle(f'{title}: {fit.method}, {fit.summary()}', x=0.01, ha='left', fontsize=11)
+    _whole(axes[0], recording, fit, aligned=False)
+    _whole(axes[1], recording, fit, aligned=True)
+    _close(axes[2], recording, fit, 0)
+    _close(axes[3], recording, fit, -1)
     save_figure(figure, path)
 
 
@@ -255,24 +231,3 @@ def _anchors(axis: Axes, recording: Recording, fit: ClockFit) -> None:
     for anchor in fit.anchors:
         at_s = (anchor.camera_us - recording.counts.start_us) * 1e-6
         axis.axvline(at_s, color=MARK, lw=0.8, ls='--')
-
-
-def _residuals(axis: Axes, fit: ClockFit) -> None:
-    first = fit.anchors[0].camera_us
-    t = [(anchor.camera_us - first) * 1e-6 for anchor in fit.anchors]
-    std = [1e3 * anchor.std_s for anchor in fit.anchors]
-    axis.errorbar(t, 1e3 * fit.residuals_s, yerr=std, fmt='o', color=MARK, capsize=3)
-    axis.axhline(0.0, color=EVENTS, lw=0.6)
-    axis.set_title('anchors less the map, with their standard deviation')
-    axis.set_xlabel('time since the first anchor [s]')
-    axis.set_ylabel('residual [ms]')
-
-
-def _uncertainty(axis: Axes, recording: Recording, fit: ClockFit) -> None:
-    counts = recording.counts
-    t_s = np.linspace(0.0, len(counts.counts) * counts.width_us * 1e-6, 100)
-    half = 1.96e3 * fit.std_at(counts.start_us + np.rint(t_s * 1e6).astype(np.int64))
-    axis.fill_between(t_s, -half, half, color=REFERENCE, alpha=0.25, lw=0)
-    axis.set_title('95 % interval of the map')
-    axis.set_xlabel('time since the first event [s]')
-    axis.set_ylabel('time error [ms]')

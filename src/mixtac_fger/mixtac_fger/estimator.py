@@ -345,5 +345,5 @@ def check_camera(estimator: Estimator, card: ModelCard, camera: CameraFacts) -> 
     if serial and camera.serial and serial != camera.serial:
         raise ModelError(
             f'the model was adapted to sensor {serial}, the camera is {camera.serial}',
-            remedy='adapt one to this camera with "mixtac adapt", or choose a general model',
+            remedy='choose a general model, and calibrate it with "mixtac calibrate-force"',
         )

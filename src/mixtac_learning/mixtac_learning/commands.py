@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The commands `train`, `evaluate` and `adapt`; torch is imported only when one of them runs."""
+"""The commands `train` and `evaluate`; torch is imported only when one of them runs."""
 
 from __future__ import annotations
 
@@ -133,12 +133,6 @@ def evaluate(
             callback=writable,
         ),
     ] = None,
-    robustness: Annotated[
-        bool,
-        typer.Option(
-            '--robustness', help='Also measure the cost of lost frames, lost packets and gaps.'
-        ),
-    ] = False,
     json: JsonFile = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
@@ -155,51 +149,4 @@ def evaluate(
         figures=figures,
         json=json,
         series=series,
-        with_losses=robustness,
-    )
-
-
-OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
-Paths = List[Path]  # noqa: UP006
-
-
-def adapt(
-    bags: Annotated[Paths, typer.Argument(help='Recordings of presses on the new sensor.')],
-    out: Annotated[Path, typer.Option(help='Weight file to write.', callback=writable)],
-    model: ModelFile = DEFAULT_MODEL,
-    load: Annotated[
-        OptionalStrings,
-        typer.Option(
-            help='Known load instead of a reference sensor, for example 0.5:3.0-6.0 for 0.5 N from'
-            ' 3.0 to 6.0 s after the start of the recording; repeatable.'
-        ),
-    ] = None,
-    sideways: Annotated[
-        OptionalStrings,
-        typer.Option(
-            help='Known pull to the side, of a weight that hangs from the pressed tip, in the first'
-            ' recording; written as --load, half a second after the contact began; repeatable.'
-        ),
-    ] = None,
-    reference: ReferenceTopic = REFERENCE,
-    serial: Annotated[
-        str,
-        typer.Option(
-            help="Serial number of the sensor's camera; the node then refuses other cameras."
-        ),
-    ] = '',
-    json: JsonFile = None,
-) -> None:
-    """Adapt a model to another sensor with up to a minute of presses of known force."""
-    from mixtac_learning.adapt.adaptation import run_adaptation
-
-    run_adaptation(
-        bags,
-        find_model(model),
-        out,
-        loads=load or (),
-        sideways=sideways or (),
-        reference=reference,
-        json=json,
-        serial=serial,
     )

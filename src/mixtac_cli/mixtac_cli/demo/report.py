@@ -100,7 +100,7 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
     streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
     comparison, refused = None, ''
     try:
-        fit, _ = align(read_recording(out / BAG), max_gap_s=MAX_FORCE_GAP_S)
+        fit = align(read_recording(out / BAG), max_gap_s=MAX_FORCE_GAP_S)
         comparison = compare(streams, fit)
     except AlignmentError as error:
         refused = str(error)

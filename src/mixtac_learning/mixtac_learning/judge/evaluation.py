@@ -30,7 +30,6 @@ from mixtac_learning.judge.report import (
     show_skipped,
     write_series,
 )
-from mixtac_learning.judge.robustness import robustness
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import DatasetError, TrialSource
@@ -58,7 +57,6 @@ def run_evaluation(
     figures: Path | None = None,
     json: Path | None = None,
     series: Path | None = None,
-    with_losses: bool = False,
 ) -> None:
     """Judge a model on bags against the force that is known of each, or on simulated sensors.
 
@@ -76,7 +74,6 @@ def run_evaluation(
         figures: Picture to draw; None for none.
         json: File for the figures; None for none.
         series: File for the forces over time, .csv or .npz; None for none.
-        with_losses: Judge with lost frames and packets as well.
 
     Raises:
         ModelError: The weight file cannot be used.
@@ -129,13 +126,6 @@ def run_evaluation(
     if series is not None:
         write_series(series, judged.estimates)
         console.print(f'written: {series}')
-    if with_losses:
-        content['robustness'] = robustness(
-            model, track(sources, 'judging with losses', transient=True)
-        )
-        for kind, row in content['robustness'].items():
-            text = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
-            console.print(f'{kind.replace("_", " ")}: {text}', highlight=False)
     write_json(json, content)
 
 
