@@ -29,10 +29,7 @@ from mixtac_slip_control.detectors import LEARNING_WINDOWS, Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
 from mixtac_slip_control.law import AdvanceLaw
-from mixtac_slip_control.parameters import (
-    WINDOW_S,
-    SlipControlParameters,
-)
+from mixtac_slip_control.parameters import WINDOW_S, SlipControlParameters
 from mixtac_slip_control.safety import (
     JOINTS,
     SATURATION_COUNT,
@@ -144,11 +141,6 @@ class SlipController:
     def enabled(self) -> bool:
         """Whether slip moves the arm."""
         return self.interlock.enabled
-
-    @property
-    def has_arm(self) -> bool:
-        """Whether there is anything to move."""
-        return self._planner is not None
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters.
@@ -278,7 +270,7 @@ class SlipController:
             return self.interlock.reason
         if self.enabled:
             return ''
-        return (self._reason_not_to_enable(now_s) or '') if self.has_arm else 'no arm'
+        return 'no arm' if self._planner is None else self._reason_not_to_enable(now_s) or ''
 
     def tick(self, now_s: float) -> str | None:
         """Stop if there is a fault or the clock went back; return why, enabled or not."""

@@ -85,27 +85,6 @@ class RestThreshold:
         self.threshold = math.inf
 
 
-class Hysteresis:
-    """Turns a value and its threshold into slipping or not.
-
-    Attributes:
-        active: Whether it slipped in the latest window.
-    """
-
-    def __init__(self) -> None:
-        self.active = False
-        self._quiet = 0
-
-    def update(self, value: float, threshold: float) -> bool:
-        """Decide on a window and return whether it slips."""
-        if value > threshold:
-            self.active, self._quiet = True, 0
-        elif self.active:
-            self._quiet = self._quiet + 1 if value <= RELEASE_SHARE * threshold else 0
-            self.active = self._quiet < RELEASE_WINDOWS
-        return self.active
-
-
 class CountDetector:
     """The detector of the paper: slip where N_t > N_th.
 
@@ -119,16 +98,11 @@ class CountDetector:
         self.rest = RestThreshold()
         self.threshold, self.slipping = 0.0, False
 
-    @property
-    def learned(self) -> bool:
-        """Whether N_th is known."""
-        return self.rest.learned
-
     def update(self, window: SlipWindow) -> bool:
         """Return whether a window slips."""
-        if self.learned:
+        if self.rest.learned:
             self.threshold = max(self.rest.threshold, self.rest.median + MIN_EXCESS)
-        self.slipping = self.learned and window.count > self.threshold
+        self.slipping = self.rest.learned and window.count > self.threshold
         return self.slipping
 
     def learn(self, window: SlipWindow) -> None:
@@ -151,25 +125,21 @@ class FlowDetector:
             where the events do not agree on one.
         threshold: Threshold of `flow` in the latest window.
         moves: Whether the events of the latest window agree on a motion of the skin.
+        slipping: Whether the latest window slipped; a slip ends after some quiet windows.
     """
 
     def __init__(self) -> None:
         self._fast, self._slow = RestThreshold(), RestThreshold()
-        self._state = Hysteresis()
+        self._quiet = 0
         self._recent: deque[tuple[float, float, float, float]] = deque(maxlen=SLOW_WINDOWS)
         self._latest = 0.0, 0.0
         self.flow = self.threshold = 0.0
-        self.moves = False
+        self.moves = self.slipping = False
 
     @property
     def learned(self) -> bool:
         """Whether the thresholds are known."""
         return self._fast.learned
-
-    @property
-    def slipping(self) -> bool:
-        """Whether the latest window slipped."""
-        return self._state.active
 
     def update(self, window: SlipWindow, min_flow: float, advance_m: float) -> bool:
         """Return whether the object slips; never before the thresholds are learned.
@@ -193,7 +163,12 @@ class FlowDetector:
         # On one scale: the sum as if its threshold were that of the single window.
         found = max(fast, slow * self.threshold / slow_threshold)
         self.flow = found if agree or self.slipping else 0.0
-        return self.learned and self._state.update(self.flow, self.threshold)
+        if self.learned and self.flow > self.threshold:
+            self.slipping, self._quiet = True, 0
+        elif self.slipping:
+            self._quiet = self._quiet + 1 if self.flow <= RELEASE_SHARE * self.threshold else 0
+            self.slipping = self._quiet < RELEASE_WINDOWS
+        return self.slipping
 
     def learn(self, window: SlipWindow) -> None:
         """Learn from the latest window; a skin that moves is not at rest."""
@@ -205,7 +180,7 @@ class FlowDetector:
         """Forget the thresholds."""
         self._fast.reset()
         self._slow.reset()
-        self._state = Hysteresis()
+        self.slipping = False
         self._recent.clear()
 
 
@@ -235,7 +210,7 @@ class Detectors:
     @property
     def learned(self) -> bool:
         """Whether the thresholds of the detector that decides are known."""
-        return self.count.learned and (self.by_count or self.flow.learned)
+        return self.count.rest.learned and (self.by_count or self.flow.learned)
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters; the thresholds at rest stay."""

@@ -37,8 +37,6 @@ MODES: Final = 3
 """Translation along x and y, and pressing."""
 REACH_SHARE: Final = 9.0 / 26.0
 """Distance from the contact at which its weight is 1/e, over the shorter side of the image."""
-ZONES: Final = 3
-"""At the contact, around it, far from it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,17 +49,12 @@ class FlowGuide:
             reach [px per contrast threshold], float64 [3, 3].
         frame_us: Centre of the frame's exposure, camera clock [us].
         contrast: Root mean square gradient of the log intensity at the contact [1/px].
-        zones: 0 at the contact (within its reach), 1 around it, 2 far from it (one and a half
-            reaches), uint8 [rows, columns] of bins.
-        bins: Bins of each zone, int64 [3].
     """
 
     fields: NDArray[np.float32]
     solver: NDArray[np.float64]
     frame_us: int
     contrast: float
-    zones: NDArray[np.uint8]
-    bins: NDArray[np.int64]
 
 
 class GuideMaker:
@@ -111,7 +104,7 @@ class GuideMaker:
         # A contact outside of the image has no weight in it.
         contrast = math.sqrt(0.5 * squares / max(self._weight_squares, 1e-12))
         solver = _solver(fields)
-        return FlowGuide(fields, solver, int(frame_us), contrast, self._zones, self._bins)
+        return FlowGuide(fields, solver, int(frame_us), contrast)
 
     def _resize(self, size: tuple[int, ...]) -> None:
         """Make scratch memory and the geometry of the contact for images [height, width]."""
@@ -131,8 +124,6 @@ class GuideMaker:
         weight = np.exp(-(away_x**2 + away_y**2))
         self._away_x, self._away_y = away_x.astype(np.float32), away_y.astype(np.float32)
         self._weight = weight.astype(np.float32)
-        self._zones = np.digitize(np.hypot(away_x, away_y), (1.0, 1.5)).astype(np.uint8)
-        self._bins = np.bincount(self._zones.ravel(), minlength=ZONES)
         self._weight_squares = float(np.sum(weight**2))
         self._work = [np.empty(shape, np.float32) for _ in range(4)]
         self._size = (height, width)
@@ -155,8 +146,6 @@ def window_sums(
     bin_size: int,
     sums: NDArray[np.float64],
     squares: NDArray[np.float64],
-    zones: NDArray[np.uint8],
-    signs: NDArray[np.int64],
 ) -> None:
     """Write sums of the fields over some events; events outside are left out.
 
@@ -168,21 +157,15 @@ def window_sums(
         bin_size: Pixels along a bin.
         sums: Written: of sign times field, float64 [modes].
         squares: Written: of the fields squared, float64 [modes].
-        zones: Zone of each bin, uint8 [rows, columns].
-        signs: Written: brighter less darker events, and all, of each zone, int64 [2, zones].
     """
     modes, rows, columns = fields.shape
     sums[:] = 0.0
     squares[:] = 0.0
-    signs[:] = 0
     for index in range(x.shape[0]):
         row, column = y[index] // bin_size, x[index] // bin_size
         if row >= rows or column >= columns:
             continue
         sign = 1.0 if polarity[index] else -1.0
-        zone = zones[row, column]
-        signs[0, zone] += 1 if polarity[index] else -1
-        signs[1, zone] += 1
         for mode in range(modes):
             value = fields[mode, row, column]
             sums[mode] += sign * value
@@ -193,41 +176,13 @@ MAX_EMPTY_RUN: Final = 20
 """Most empty windows that are returned after a gap; older ones are skipped."""
 STALE_GUIDE_US: Final = 500_000
 """A frame older than this is not used."""
-LIGHT_EVENTS: Final = 200
-"""Fewest events of a window far from the contact that can show a change of light, and at the
-contact that can show slip just after."""
+LIGHT_EVENTS: Final = 400
+"""Fewest events of a window that can show a change of light."""
 LIGHT_SHARE: Final = 0.8
-"""Share of one sign over the other from which these events come from light."""
-LIGHT_RATIO: Final = (0.3, 5.0)
-"""Density of these events over that at the contact, between which they are everywhere: slip moves
-the skin around the contact and hardly any other."""
-
+"""Share of one sign over the other from which events come from light: motion makes both signs."""
 COHERENCE: Final = 3.0
 """Motion over that of as many events with signs at random, from which on it counts: random signs
 reach it in one window of 8000. Simulated lamps that were switched on came to 2.4, slips to 4.2."""
-LIGHT_HOLD_US: Final = 10_000
-"""Time after such a window in which events may still come from light: dark pixels are slow."""
-
-
-def is_light(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
-    """Return whether a change of light made the events of a window: everywhere, with one sign.
-
-    Args:
-        signs: Brighter less darker events, and all, at the contact, around it and far from it,
-            int64 [2, 3].
-        bins: Bins of these zones, int64 [3].
-    """
-    far, near = int(signs[1, 2]), int(signs[1, 0])
-    if far < LIGHT_EVENTS or abs(signs[0, 2]) < LIGHT_SHARE * far:
-        return False
-    low, high = LIGHT_RATIO
-    return bool(low * near * bins[2] <= far * bins[0] <= high * near * bins[2])
-
-
-def is_local(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
-    """Return whether the events of a window are at the contact; arguments as of `is_light`."""
-    far, near = int(signs[1, 2]), int(signs[1, 0])
-    return bool(near >= LIGHT_EVENTS and far * bins[0] < LIGHT_RATIO[0] * near * bins[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +197,7 @@ class SlipWindow:
         pressing: Motion away from the contact, at its reach, same unit.
         guided: Whether a recent frame was there to measure motion with; else the motions are 0.
         complete: False where packets of the window were lost.
-        light: Whether its events may come from a change of light, in this window or just before.
+        light: Whether its events come from a change of light.
         noise: Mean square of the translation that as many events at the same places would give with
             signs at random; the unit of `flow_x`, squared.
     """
@@ -276,9 +231,7 @@ class SlipFeatures:
         # Without a frame every event lies outside the fields, and the sums stay 0.
         self._blank = np.zeros((MODES, 1, 1), np.float32)
         self._sums, self._squares = np.zeros(MODES), np.zeros(MODES)
-        self._nowhere = np.zeros((1, 1), np.uint8)
-        self._signs = np.zeros((2, ZONES), np.int64)
-        self._lost_until_us = self._light_until_us = 0
+        self._lost_until_us = 0
 
     @property
     def contrast(self) -> float:
@@ -289,7 +242,7 @@ class SlipFeatures:
         """Compile (or load) the kernels, for frames of 8 and of 16 bits."""
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
         sums = self._sums, self._squares
-        window_sums(none16, none16, none, self._blank, BIN, *sums, self._nowhere, self._signs)
+        window_sums(none16, none16, none, self._blank, BIN, *sums)
         maker = GuideMaker(self._maker.parameters)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint8), 0)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint16), 0)
@@ -346,16 +299,11 @@ class SlipFeatures:
         guide = self._guide
         fresh = guide is not None and abs(end_us - guide.frame_us) <= STALE_GUIDE_US
         fields = guide.fields if guide is not None and fresh else self._blank
-        zones = guide.zones if guide is not None and fresh else self._nowhere
         places = events.x, events.y, events.polarity
-        window_sums(*places, fields, BIN, self._sums, self._squares, zones, self._signs)
-        # A clock that starts anew must not leave it on.
-        lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
+        window_sums(*places, fields, BIN, self._sums, self._squares)
+        one_sign = abs(2 * int(np.count_nonzero(events.polarity)) - len(events))
         motion, noise = self._sums, 0.0
         if guide is not None and fresh:
-            if is_light(self._signs, guide.bins):
-                self._light_until_us, lit = end_us + LIGHT_HOLD_US, True
-            lit = lit and not is_local(self._signs, guide.bins)
             motion = -(guide.solver @ self._sums)
             noises = guide.solver**2 @ self._squares
             noise = float(noises[0] + noises[1])
@@ -367,6 +315,6 @@ class SlipFeatures:
             pressing=float(motion[2]),
             guided=fresh,
             complete=end_us - self.slicer.width_us >= self._lost_until_us,
-            light=lit,
+            light=one_sign >= LIGHT_SHARE * max(len(events), LIGHT_EVENTS),
             noise=noise,
         )

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The advance laws: how far the arm shall advance along the contact normal.
 
-`PaperLaw` is the law of the paper (section Closed loop Slip Control): in a window with
+`paper_advance` is the law of the paper (section Closed loop Slip Control): in a window with
 :math:`N_t > N_{th}` the arm advances by :math:`\Delta d_t = k\,(N_t - N_{th})`.
 
 `StepLaw` presses at enabling until the force is `grip_margin` times the force at enabling; gains of
@@ -118,18 +118,15 @@ class Contact:
         self._kk = max(self._kk - by_k**2 / variance, 1.0)
 
 
-class PaperLaw:
-    """Advances by k (N_t - N_th) where N_t > N_th."""
+def paper_advance(count: int, threshold: float, gain: float) -> float:
+    """Return the advance of a window by the law of the paper [m].
 
-    def advance(self, count: int, threshold: float, gain: float) -> float:
-        """Return the advance of a window [m].
-
-        Args:
-            count: N_t, events in the window.
-            threshold: N_th.
-            gain: k [m].
-        """
-        return gain * (count - threshold) if count > threshold else 0.0
+    Args:
+        count: N_t, events in the window.
+        threshold: N_th.
+        gain: k [m].
+    """
+    return gain * (count - threshold) if count > threshold else 0.0
 
 
 class Phase(Enum):
@@ -268,7 +265,6 @@ class AdvanceLaw:
         self.contact = Contact()
         self.total = self.limit = 0.0
         self.step = StepLaw(0.0)
-        self._paper = PaperLaw()
 
     @property
     def pressing(self) -> bool:
@@ -332,7 +328,7 @@ class AdvanceLaw:
         """
         p, before = self._parameters, self.total
         if p.law == PAPER:
-            wanted = before + self._paper.advance(count, threshold, p.gain)
+            wanted = before + paper_advance(count, threshold, p.gain)
         else:
             wanted = self.step.advance(before, self.contact, p, slipping=slipping)
         # The bound makes the arm wait, not retreat: a noisy force must not move it.

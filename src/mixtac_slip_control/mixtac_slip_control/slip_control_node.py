@@ -123,11 +123,6 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _open_backend(self, arm: ArmParts) -> ArmBackend:
         p = self._settings
         if p.arm_backend != TRAJECTORY:
-            if self.get_parameter('use_sim_time').value:
-                raise BackendError(
-                    f'the arm backend {p.arm_backend} runs on the clock of the host',
-                    remedy='set use_sim_time to false',
-                )
             return open_backend(p, arm.arm)
         publisher = self.create_publisher(JointTrajectory, f'{p.controller}/joint_trajectory', 10)
         backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(serialised(t)))
@@ -379,7 +374,6 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             'state': controller.interlock.state.name.lower(),
             'lost packets': self._packets.lost,
             'unreadable messages': self._refused,
-            'skipped windows': controller.features.slicer.skipped_windows,
             'trajectories': self._trajectories,
             'phase': law.step.phase.name.lower(),
             'total advance [m]': law.total,

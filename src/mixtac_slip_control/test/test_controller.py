@@ -64,7 +64,7 @@ class Rig:
         self.ms += 1
         place = np.zeros(number, np.uint16)
         t = start + np.arange(number) * 1000 // max(number, 1)
-        events = Events(t.astype(np.int64), place, place, np.ones(number, np.bool_))
+        events = Events(t.astype(np.int64), place, place, np.arange(number) % 2 == 0)
         if inputs:
             self.controller.on_force(self.force, 1000 * self.ms, self.now)
             self.controller.on_joint_state(READY, self.now)

@@ -82,7 +82,7 @@ class Cell:
         number = int(self.rng.integers(400, 3000)) if slipping else 30
         place = np.zeros(number, np.uint16)
         t = 1000 * (self.cycle - 1) + np.arange(number) * 1000 // number
-        events = Events(t.astype(np.int64), place, place, np.ones(number, np.bool_))
+        events = Events(t.astype(np.int64), place, place, np.arange(number) % 2 == 0)
         self.slip.on_events(events, 1000 * self.cycle, self.now_s)
         self.post(self.slip.plan(self.now_s))
         if self.moving and not self.slip.enabled:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.law import AdvanceLaw, Contact, PaperLaw, Phase
+from mixtac_slip_control.law import AdvanceLaw, Contact, Phase, paper_advance
 from mixtac_slip_control.parameters import SlipControlParameters
 
 
@@ -63,10 +63,9 @@ class Grasp:
 
 
 def test_the_law_of_the_paper_is_as_printed() -> None:
-    law = PaperLaw()
-    assert law.advance(160, 60.0, 2e-7) == pytest.approx(2e-5)
-    assert law.advance(60, 60.0, 2e-7) == 0.0
-    assert law.advance(10, 60.0, 2e-7) == 0.0
+    assert paper_advance(160, 60.0, 2e-7) == pytest.approx(2e-5)
+    assert paper_advance(60, 60.0, 2e-7) == 0.0
+    assert paper_advance(10, 60.0, 2e-7) == 0.0
 
 
 def test_the_paper_neither_presses_nor_holds_nor_returns() -> None:

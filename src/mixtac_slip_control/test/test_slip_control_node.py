@@ -105,7 +105,7 @@ class Peer:
         total = count * windows
         t = start_us + np.arange(total, dtype=np.int64) * width_us // total
         place = np.full(total, 130, np.uint16)
-        made = encode(Events(t, place, place, np.ones(total, np.bool_)), complete_until=end_us)
+        made = encode(Events(t, place, place, np.arange(total) % 2 == 0), complete_until=end_us)
         message = packet(
             width=346,
             height=260,

@@ -113,11 +113,8 @@ class FollowingWatch:
                 f'{1e3 * nearest:.2f} mm were commanded '
                 f'({1e3 * MAX_FOLLOWING_M:g} mm allowed)'
             )
-        elif (off := float(np.abs(across).max())) > MAX_SAG_RAD:
-            self.lost = (
-                f'the arm is not where it was led: joint {int(np.abs(across).argmax()) + 1} is off '
-                f'by {off:.4f} rad ({MAX_SAG_RAD:g} rad allowed)'
-            )
+        else:
+            self._check_sag(across)
 
     def on_commanded(self, q: Floats, stamp_s: float) -> None:
         """Compare commanded joint positions (n,) [rad] of a time [s] with the plan."""
@@ -168,12 +165,13 @@ class FollowingWatch:
             f'the last {1e3 * MAX_JOINT_AGE_S:g} ms; is control_msgs installed?'
         )
 
-    def _check_sag(self, sag: Floats) -> None:
-        allowed, off = MAX_SAG_RAD, float(np.abs(sag).max())
-        if off > allowed:
+    def _check_sag(self, off: Floats) -> None:
+        """Note that a joint is too far from its place; differences are (n,) [rad]."""
+        joint = int(np.abs(off).argmax())
+        if abs(off[joint]) > MAX_SAG_RAD:
             self.lost = (
-                f'the arm is not where it was led: joint {int(np.abs(sag).argmax()) + 1} is off by '
-                f'{off:.4f} rad ({allowed:g} rad allowed)'
+                f'the arm is not where it was led: joint {joint + 1} is off by '
+                f'{abs(off[joint]):.4f} rad ({MAX_SAG_RAD:g} rad allowed)'
             )
 
     def _compare(

@@ -117,6 +117,11 @@ def _joint(element: ET.Element) -> UrdfJoint:
             'chain of joints that move by themselves'
         )
     origin, limit = element.find('origin'), element.find('limit')
+    x, y, z = _vector(element.find('axis'), 'xyz', (1.0, 0.0, 0.0), name)
+    length = math.hypot(x, y, z)
+    if length < 1e-9:
+        raise RobotDescriptionError(f'joint {name!r} has an axis of length zero')
+    bound = 0.0 if limit is not None and kind in ('revolute', 'prismatic') else math.inf
     return UrdfJoint(
         name=name,
         kind=kind,
@@ -124,16 +129,12 @@ def _joint(element: ET.Element) -> UrdfJoint:
         child=child.get('link', ''),
         xyz=_vector(origin, 'xyz', (0.0, 0.0, 0.0), name),
         rpy=_vector(origin, 'rpy', (0.0, 0.0, 0.0), name),
-        axis=_unit(_vector(element.find('axis'), 'xyz', (1.0, 0.0, 0.0), name), name),
+        axis=(x / length, y / length, z / length),
         # A missing bound of a revolute or prismatic joint is zero in the URDF specification.
-        lower=_number(limit, 'lower', 0.0 if _bounded(kind, limit) else -math.inf, name),
-        upper=_number(limit, 'upper', 0.0 if _bounded(kind, limit) else math.inf, name),
+        lower=_number(limit, 'lower', -bound, name),
+        upper=_number(limit, 'upper', bound, name),
         velocity=_number(limit, 'velocity', math.inf, name),
     )
-
-
-def _bounded(kind: str, limit: ET.Element | None) -> bool:
-    return kind in ('revolute', 'prismatic') and limit is not None
 
 
 def _number(element: ET.Element | None, key: str, default: float, joint: str) -> float:
@@ -162,13 +163,6 @@ def _vector(element: ET.Element | None, key: str, default: Vector, joint: str) -
     return x, y, z
 
 
-def _unit(axis: Vector, joint: str) -> Vector:
-    length = math.hypot(*axis)
-    if length < 1e-9:
-        raise RobotDescriptionError(f'joint {joint!r} has an axis of length zero')
-    return axis[0] / length, axis[1] / length, axis[2] / length
-
-
 def rotations(axes: Floats, angles: Floats) -> Floats:
     """Return the rotations (n, 3, 3) about unit axes (n, 3) by angles (n,) [rad] (Rodrigues)."""
     x, y, z = axes.T
@@ -176,11 +170,6 @@ def rotations(axes: Floats, angles: Floats) -> Floats:
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     sine, versine = np.sin(angles)[:, None, None], (1.0 - np.cos(angles))[:, None, None]
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
 
 
 FR3_READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
@@ -290,7 +279,7 @@ class SerialArm:
         pose = np.eye(4)
         pose[:3, 3] = p + R @ self._tool[:3, 3]
         pose[:3, :3] = R @ self._tool[:3, :3]
-        linear = _cross(directions, pose[:3, 3] - points)
+        linear = np.cross(directions, pose[:3, 3] - points)
         turning = ~self._prismatic[:, None]
         moves, turned = np.where(turning, linear, directions), np.where(turning, directions, 0.0)
         return pose, np.concatenate([moves, turned], axis=1).T

@@ -9,6 +9,7 @@ distance to singularities.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,37 +19,14 @@ from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.errors import ArmError
 
 Floats = NDArray[np.float64]
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VelocityEnvelope:
-    r"""Velocity limits that fall towards the end of a joint's range.
-
-    Towards the upper end: :math:`\max(0, -c + \sqrt{\max(0, k (q^+ - q))})`; mirrored below.
-
-    Attributes:
-        offset: c (n,) [rad/s].
-        slope: k (n,) [rad/s2].
-        upper: Position at the upper end (n,) [rad].
-        lower: Position at the lower end (n,) [rad].
-    """
-
-    offset: Floats
-    slope: Floats
-    upper: Floats
-    lower: Floats
-
-    def bounds(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
-        high = np.sqrt(np.maximum(0.0, self.slope * (self.upper - q))) - self.offset
-        low = np.sqrt(np.maximum(0.0, self.slope * (q - self.lower))) - self.offset
-        return -np.maximum(0.0, low), np.maximum(0.0, high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLimits:
-    """Limits of each joint (n,), and of the tip's translation.
+    r"""Limits of each joint (n,), and of the tip's translation.
+
+    The envelope holds c [rad/s], k [rad/s2], :math:`q^+` and :math:`q^-` [rad] of each joint: the
+    velocity is at most :math:`\max(0, -c + \sqrt{\max(0, k (q^+ - q))})`, and mirrored below.
 
     Attributes:
         lower: Smallest position [rad].
@@ -56,7 +34,7 @@ class JointLimits:
         velocity: Largest speed [rad/s].
         acceleration: Largest acceleration [rad/s2].
         jerk: Largest jerk [rad/s3].
-        envelope: Velocity limits that depend on the position; None without.
+        envelope: Velocity limits that depend on the position (4, n); None without.
         tip: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
     """
 
@@ -65,7 +43,7 @@ class JointLimits:
     velocity: Floats
     acceleration: Floats
     jerk: Floats
-    envelope: VelocityEnvelope | None = None
+    envelope: Floats | None = None
     tip: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
     def __post_init__(self) -> None:
@@ -92,11 +70,13 @@ class JointLimits:
         Positions and speeds: franka_description 1.0; rates and the velocity envelope:
         libfranka's rate_limiting.h, for system versions from 5.9 on.
         """
-        envelope = VelocityEnvelope(
-            offset=np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]),
-            slope=np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0]),
-            upper=np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196]),
-            lower=np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196]),
+        envelope = np.array(
+            [
+                [0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35],
+                [12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0],
+                [2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196],
+                [-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196],
+            ]
         )
         return cls.from_arm(
             SerialArm.fr3(),
@@ -112,7 +92,7 @@ class JointLimits:
         arm: SerialArm,
         acceleration: float,
         jerk: float,
-        envelope: VelocityEnvelope | None = None,
+        envelope: Floats | None = None,
         tip: tuple[float, float, float] = (math.inf, math.inf, math.inf),
     ) -> JointLimits:
         """Return the limits in an arm's URDF, with the rates that a URDF does not hold.
@@ -148,8 +128,13 @@ class JointLimits:
         """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
         if self.envelope is None:
             return -self.velocity, self.velocity
-        low, high = self.envelope.bounds(q)
-        return np.maximum(low, -self.velocity), np.minimum(high, self.velocity)
+        offset, slope, upper, lower = self.envelope
+        high = np.sqrt(np.maximum(0.0, slope * (upper - q))) - offset
+        low = np.sqrt(np.maximum(0.0, slope * (q - lower))) - offset
+        return (
+            -np.clip(low, 0.0, self.velocity),
+            np.clip(high, 0.0, self.velocity),
+        )
 
     def violation(self, q: Floats, names: tuple[str, ...], margin: float = 0.0) -> str | None:
         """Return which joint is outside its range, in words, or None.
@@ -169,35 +154,6 @@ class JointLimits:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class BoxWorkspace:
-    """A box along the axes of the base frame.
-
-    Attributes:
-        lower: Corner with the smallest coordinates [m].
-        upper: Corner with the largest coordinates [m].
-    """
-
-    lower: Point
-    upper: Point
-
-    def __post_init__(self) -> None:
-        """Refuse an empty box.
-
-        Raises:
-            ArmError: A lower coordinate is not below the upper one.
-        """
-        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ArmError(f'workspace from {self.lower} to {self.upper} m: give lower < upper')
-
-    def violation(self, position: Floats) -> str | None:
-        """Return why a position (3,) [m] is outside, in words, or None."""
-        for axis, value, low, high in zip('xyz', position, self.lower, self.upper, strict=True):
-            if not low <= value <= high:
-                return f'tip at {axis} = {value:.4f} m is outside {low:g} to {high:g} m'
-        return None
-
-
 JOINT_MARGIN = 0.02
 """Distance to the ends of the joints' ranges that positions and paths keep [rad]."""
 RADIAN_M = 0.3
@@ -213,7 +169,8 @@ class StateChecks:
     Args:
         arm: The arm.
         limits: Limits of its joints.
-        workspace: Where the tip may be; None: anywhere.
+        workspace: Limits of the tip along x, y and z of the base frame, lower and upper in turn
+            (6,) [m]; None: anywhere.
         min_singular: Smallest singular value of the Jacobian allowed, with angles scaled by
             `RADIAN_M`: below it small motions of the tip need large motions of the joints. The FR3
             has 0.18 in its ready pose and 0.04 with the elbow stretched.
@@ -223,12 +180,14 @@ class StateChecks:
         self,
         arm: SerialArm,
         limits: JointLimits,
-        workspace: BoxWorkspace | None = None,
+        workspace: Sequence[float] | None = None,
         min_singular: float = 0.05,
     ) -> None:
         self._arm = arm
         self._limits = limits
-        self._workspace = workspace
+        self._workspace = None if workspace is None else np.reshape(workspace, (3, 2))
+        if self._workspace is not None and not (np.diff(self._workspace) > 0.0).all():
+            raise ArmError(f'workspace {list(workspace or ())} m: give lower < upper on each axis')
         self._min_singular = min_singular
         self._good: Floats | None = None
 
@@ -242,7 +201,9 @@ class StateChecks:
             return None
         reason = self._limits.violation(values, self._arm.names, JOINT_MARGIN)
         if reason is None and self._workspace is not None:
-            reason = self._workspace.violation(self._arm.pose(values)[:3, 3])
+            place = self._arm.pose(values)[:3, 3]
+            if not ((place >= self._workspace[:, 0]) & (place <= self._workspace[:, 1])).all():
+                reason = f'tip at {place.round(4).tolist()} m is outside the workspace'
         reason = reason or self._singular(values)
         self._good = values.copy() if reason is None else None
         return reason

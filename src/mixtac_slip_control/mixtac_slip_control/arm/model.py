@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
+from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory, settling_time
 from mixtac_slip_control.errors import BackendError, SlipControlError
@@ -79,11 +79,10 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
     if parameters.arm == 'none':
         return None
     direction = np.array(parameters.normal_vector)
-    x0, x1, y0, y1, z0, z1 = parameters.workspace_limits
     arm, limits = _model(parameters)
     planner = AdvancePlanner(arm, limits, parameters.lead, parameters.limit_share)
     in_tool = parameters.normal_frame == 'tool'
-    checks = StateChecks(arm, limits, BoxWorkspace((x0, y0, z0), (x1, y1, z1)))
+    checks = StateChecks(arm, limits, parameters.workspace_limits)
     direction = direction / np.linalg.norm(direction)
     return ArmParts(arm, limits, planner, checks, in_tool, direction)
 

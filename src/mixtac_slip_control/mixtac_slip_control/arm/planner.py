@@ -125,7 +125,8 @@ def joint_line(
         raise ArmError(f'contact normal {direction.tolist()}: give three numbers, not all zero')
     direction = direction / length
     jacobian = arm.jacobian(start)
-    slope = fastest_tangent(jacobian, direction, limits.acceleration)
+    # The least joint motion; the one with the least acceleration is 6 % faster in the median.
+    slope = np.linalg.lstsq(jacobian, np.concatenate([direction, np.zeros(3)]), rcond=1e-6)[0]
     if np.abs(jacobian[:3] @ slope - direction).max() > SAME_NORMAL:
         raise UnreachableError(
             'the arm cannot advance along the contact normal from here: choose another posture'
@@ -138,29 +139,6 @@ def joint_line(
             'smaller max_total'
         )
     return line
-
-
-def fastest_tangent(jacobian: Floats, direction: Floats, acceleration: Floats) -> Floats:
-    """Return the joint motion per advance (n,) that needs the least share of the accelerations.
-
-    Args:
-        jacobian: Jacobian of the tip (6, n).
-        direction: Unit direction of the tip (3,).
-        acceleration: Limits of the joints (n,).
-    """
-    twist = np.concatenate([direction, np.zeros(3)])
-    base = np.linalg.lstsq(jacobian, twist, rcond=1e-6)[0]
-    if jacobian.shape[1] != 7:
-        return np.asarray(base)
-    free = np.linalg.svd(jacobian)[2][-1]
-    # The maximum over joints of |b_i + m f_i| is convex and bends where two of them are equal.
-    b, f = base / acceleration, free / acceleration
-    b2, f2 = np.concatenate([b, -b]), np.concatenate([f, -f])
-    with np.errstate(divide='ignore', invalid='ignore'):
-        candidates = ((b2[:, None] - b2) / (f2 - f2[:, None])).ravel()
-    candidates = np.concatenate([[0.0], candidates[np.isfinite(candidates)]])
-    worst = np.abs(b + candidates[:, None] * f).max(axis=1)
-    return np.asarray(base + candidates[int(np.argmin(worst))] * free)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +235,9 @@ class AdvancePlanner:
         self.line = joint_line(self._arm, self._limits, q, normal, max_advance)
         self.motion_limits = self.line.limits(self._limits, self._share, max_advance)
         self._most = max_advance
+        self._input.max_velocity = [self.motion_limits.speed]
+        self._input.max_acceleration = [self.motion_limits.acceleration]
+        self._input.max_jerk = [self.motion_limits.jerk]
         self._clear()
 
     def plan(self, now_s: float, advance_m: float) -> PlannedTrajectory | None:
@@ -355,19 +336,13 @@ class AdvancePlanner:
 
     def _solved(self, start: Knot, target: float | None) -> list[Knot] | None:
         """Return the fastest motion to rest at a target, or to rest anywhere; None if not found."""
-        given, limits = self._input, self.motion_limits
-        to_target = target is not None
-        given.control_interface = (
-            ControlInterface.Position if to_target else ControlInterface.Velocity
-        )
+        given = self._input
+        kinds = ControlInterface
+        given.control_interface = kinds.Velocity if target is None else kinds.Position
         given.current_position = [start.s]
         given.current_velocity = [start.v]
         given.current_acceleration = [start.a]
         given.target_position = [target if target is not None else start.s]
-        given.target_velocity = given.target_acceleration = [0.0]
-        given.max_velocity = [limits.speed]
-        given.max_acceleration = [limits.acceleration]
-        given.max_jerk = [limits.jerk]
         try:
             done = self._ruckig.calculate(given, self._motion)
         except RuntimeError:
@@ -406,11 +381,9 @@ class AdvancePlanner:
         oldest_ns = begin_ns - round(1e9 * HISTORY_S)
         begin = self._state(begin_ns + GRID_NS)
         kept = [knot for knot in self._knots if knot.t_ns < branch_ns]
-        between = [knot for knot in kept if knot.t_ns > begin.t_ns]
-        sent = [begin, *between, *new]
+        sent = [begin, *(knot for knot in kept if knot.t_ns > begin.t_ns), *new]
         old = [knot for knot in kept if knot.t_ns > oldest_ns]
-        kept = [self._state(oldest_ns), *old]
-        self._knots = [*kept, *new]
+        self._knots = [self._state(oldest_ns), *old, *new]
         self._sent_ns = now_ns
         states = np.array([(knot.s, knot.v, knot.a) for knot in sent])
         return PlannedTrajectory(

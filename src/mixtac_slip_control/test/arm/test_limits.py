@@ -8,7 +8,7 @@ import pytest
 
 from mixtac_sim.arm.fr3 import DQ_MAX, Q_LOWER, Q_UPPER, READY
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
+from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.errors import ArmError
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
@@ -31,7 +31,7 @@ def test_the_velocity_envelope_closes_towards_the_ends():
 
 
 def test_a_good_state_passes():
-    checks = StateChecks(ARM, LIMITS, BoxWorkspace((0, -0.5, 0.2), (0.6, 0.5, 0.9)))
+    checks = StateChecks(ARM, LIMITS, (0, 0.6, -0.5, 0.5, 0.2, 0.9))
     assert checks.check(READY) is None
 
 
@@ -58,8 +58,8 @@ def test_a_slow_drift_to_an_end_trips():
 
 
 def test_leaving_the_workspace_trips():
-    box = BoxWorkspace((0, -0.5, 0.2), (0.3, 0.5, 0.9))
-    assert 'x = 0.3069' in StateChecks(ARM, LIMITS, box).check(READY)
+    box = (0, 0.3, -0.5, 0.5, 0.2, 0.9)
+    assert '0.3069' in StateChecks(ARM, LIMITS, box).check(READY)
 
 
 def test_a_singularity_trips():
@@ -76,7 +76,7 @@ def test_what_is_no_state_trips(bad):
 
 def test_empty_workspaces_and_limits_are_refused():
     with pytest.raises(ArmError):
-        BoxWorkspace((0, 0, 0), (1, 0, 1))
+        StateChecks(ARM, LIMITS, (0, 1, 0, 0, 0, 1))
     with pytest.raises(ArmError):
         dataclasses.replace(LIMITS, lower=LIMITS.upper)
     with pytest.raises(ArmError):
