@@ -124,10 +124,10 @@ class SlipController:
     ) -> None:
         self._parameters = parameters
         self.interlock = Interlock()
-        self.watch = SafetyWatch(parameters, check_state)
-        self.detectors = Detectors(parameters)
+        self.watch = SafetyWatch(self._current, check_state)
+        self.detectors = Detectors(self._current)
         self.features = SlipFeatures(parameters)
-        self.law = AdvanceLaw(parameters)
+        self.law = AdvanceLaw(self._current)
         self._calm_us = self._end_us = NEVER
         self._planner = planner
         self.following = None if planner is None else FollowingWatch(parameters, planner)
@@ -153,9 +153,6 @@ class SlipController:
                 'parameters are fixed while slip control is enabled', remedy='disable it first'
             )
         self._parameters = parameters
-        self.detectors.configure(parameters)
-        self.watch.configure(parameters)
-        self.law.configure(parameters)
 
     def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
         """Use a measured force.
@@ -387,6 +384,9 @@ class SlipController:
             measured_s = now_s - self.watch.age(JOINTS, now_s)
             fault = self.following.reason_not_to_enable(measured_s, now_s)
         return fault
+
+    def _current(self) -> SlipControlParameters:
+        return self._parameters
 
     def _calm(self, time_us: int) -> bool:
         """Return whether there was no slip for a while before a time, camera clock [us]."""

@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 
 from mixtac_slip_control.features import COHERENCE, SlipWindow
-from mixtac_slip_control.parameters import PAPER, WINDOW_S, SlipControlParameters
+from mixtac_slip_control.parameters import PAPER, WINDOW_S, Current
 
 LEARNING_WINDOWS: Final = 1000
 """Windows at rest from which a threshold is learned: one second."""
@@ -188,7 +188,7 @@ class Detectors:
     """Runs both detectors and lets them learn at rest.
 
     Args:
-        parameters: Law, and smallest translation of a slip.
+        parameters: Returns law, and smallest translation of a slip.
 
     Attributes:
         count: The detector of the paper, which decides under the law `paper`.
@@ -196,7 +196,7 @@ class Detectors:
         slipping: Decision on the latest window.
     """
 
-    def __init__(self, parameters: SlipControlParameters) -> None:
+    def __init__(self, parameters: Current) -> None:
         self._parameters = parameters
         self.count = CountDetector()
         self.flow = FlowDetector()
@@ -205,16 +205,12 @@ class Detectors:
     @property
     def by_count(self) -> bool:
         """Whether the event count decides."""
-        return self._parameters.law == PAPER
+        return self._parameters().law == PAPER
 
     @property
     def learned(self) -> bool:
         """Whether the thresholds of the detector that decides are known."""
         return self.count.rest.learned and (self.by_count or self.flow.learned)
-
-    def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other parameters; the thresholds at rest stay."""
-        self._parameters = parameters
 
     def update(self, window: SlipWindow, advance_m: float) -> bool:
         """Return whether the object slips; until they are learned, learn from the window instead.
@@ -227,7 +223,7 @@ class Detectors:
             self.slipping = False
             return False
         by_count = self.count.update(window)
-        by_flow = self.flow.update(window, self._parameters.min_flow, advance_m)
+        by_flow = self.flow.update(window, self._parameters().min_flow, advance_m)
         self.slipping = by_count if self.by_count else by_flow
         if window.complete and not self.slipping:
             self.count.learn(window)

@@ -20,7 +20,7 @@ from enum import Enum, auto
 from typing import Final
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.parameters import PAPER, WINDOW_S, SlipControlParameters
+from mixtac_slip_control.parameters import PAPER, WINDOW_S, Current, SlipControlParameters
 
 STIFFEST: Final = 2e4
 """Stiffest plausible contact of gel and object [N/m]: the bound before anything was measured."""
@@ -251,7 +251,7 @@ class AdvanceLaw:
     """Owns the wanted advance: runs the chosen law within the bound of the force.
 
     Args:
-        parameters: Law, ratios and limits.
+        parameters: Returns law, ratios and limits.
 
     Attributes:
         contact: Force and stiffness of the contact.
@@ -260,7 +260,7 @@ class AdvanceLaw:
         step: The law `step`.
     """
 
-    def __init__(self, parameters: SlipControlParameters) -> None:
+    def __init__(self, parameters: Current) -> None:
         self._parameters = parameters
         self.contact = Contact()
         self.total = self.limit = 0.0
@@ -269,11 +269,7 @@ class AdvanceLaw:
     @property
     def pressing(self) -> bool:
         """Whether the press after enabling is under way."""
-        return self._parameters.law != PAPER and self.step.phase is Phase.PRESS
-
-    def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other parameters from the next window on."""
-        self._parameters = parameters
+        return self._parameters().law != PAPER and self.step.phase is Phase.PRESS
 
     def start(self, advance: float) -> None:
         """Start over at advance zero.
@@ -284,7 +280,7 @@ class AdvanceLaw:
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
-        p = self._parameters
+        p = self._parameters()
         self.contact.restart(advance)
         force = self.contact.force
         if force >= p.usable_force:
@@ -326,7 +322,7 @@ class AdvanceLaw:
             force: Latest measured normal force [N].
             slipping: Whether the object slips.
         """
-        p, before = self._parameters, self.total
+        p, before = self._parameters(), self.total
         if p.law == PAPER:
             wanted = before + paper_advance(count, threshold, p.gain)
         else:

@@ -8,6 +8,7 @@ depends on the arm, on the place of the sensor, or on the object.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -155,3 +156,7 @@ class SlipControlParameters:
     def usable_force(self) -> float:
         """Normal force up to which the arm presses [N]."""
         return self.force_share * self.max_force
+
+
+Current = Callable[[], SlipControlParameters]
+"""Returns the parameters as they are now: parts read them when they need them."""

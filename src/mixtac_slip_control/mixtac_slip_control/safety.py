@@ -17,7 +17,7 @@ from typing import Final
 from mixtac_slip_control.arm.following import MAX_JOINT_AGE_S
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipWindow
-from mixtac_slip_control.parameters import PAPER, SlipControlParameters
+from mixtac_slip_control.parameters import PAPER, Current
 
 
 class InterlockState(IntEnum):
@@ -127,7 +127,7 @@ class SafetyWatch:
     as not received; what is wrong with the latest one stays on record until a good one arrives.
 
     Args:
-        parameters: Limits and ages.
+        parameters: Returns law and largest force.
         check_state: Returns what is wrong with joint positions [rad], None if nothing is.
 
     Attributes:
@@ -137,7 +137,7 @@ class SafetyWatch:
 
     def __init__(
         self,
-        parameters: SlipControlParameters,
+        parameters: Current,
         check_state: Callable[[Sequence[float]], str | None] = lambda _q: None,
     ) -> None:
         self._parameters = parameters
@@ -154,10 +154,6 @@ class SafetyWatch:
         self._end_us = -1
         self._least_s = self._late_s = 0.0
         self._untrusted = ''
-
-    def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other limits and ages from now on."""
-        self._parameters = parameters
 
     def on_window(self, window: SlipWindow, now_s: float) -> None:
         """Record a window that was closed now."""
@@ -187,7 +183,7 @@ class SafetyWatch:
         Returns:
             Whether it is a new one.
         """
-        if not abs(force_n) <= ABSURD_FORCES * self._parameters.max_force:
+        if not abs(force_n) <= ABSURD_FORCES * self._parameters().max_force:
             self._wrong[FORCE] = f'force is {force_n} N'
             return False
         if self._force_stamp_us is not None and stamp_us == self._force_stamp_us:
@@ -243,7 +239,7 @@ class SafetyWatch:
         if not math.isfinite(now_s):
             return f'the host time is {now_s}'
         for name, limit in MAX_AGE_S.items():
-            if name == FRAMES and self._by_count:
+            if name == FRAMES and self._parameters().law == PAPER:
                 continue
             if name in self._wrong:
                 return self._wrong[name]
@@ -271,10 +267,6 @@ class SafetyWatch:
             )
         return None
 
-    @property
-    def _by_count(self) -> bool:
-        return self._parameters.law == PAPER
-
     def _limits(self) -> str | None:
         if self._saturated >= SATURATED_WINDOWS:
             return (
@@ -288,14 +280,14 @@ class SafetyWatch:
                 f'contact lost: the mean force of {self._mean_force:.2f} N is below '
                 f'{MIN_FORCE:.2f} N'
             )
-        most = self._parameters.max_force
+        most = self._parameters().max_force
         if self.force is not None and self.force > most:
             return f'force {self.force:.2f} N is above max_force {most:.2f} N'
         return None
 
     def _unseen(self) -> str | None:
         """Return why slip could not be seen, or None."""
-        if not self._by_count:
+        if self._parameters().law != PAPER:
             if self._unguided >= LOST_WINDOWS:
                 return 'the latest frame is not of the time of the events, or of another size'
             if self._contrast < MIN_CONTRAST:

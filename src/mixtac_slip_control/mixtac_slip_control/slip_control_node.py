@@ -89,7 +89,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._controller = (
             SlipController(p)
             if arm is None
-            else SlipController(p, arm.planner, arm.normal, arm.check)
+            else SlipController(p, arm.planner, arm.normal, arm.checks.check)
         )
         self._packets = SequenceCounter()
         self._refused = self._windows = self._trajectories = 0

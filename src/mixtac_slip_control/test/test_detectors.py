@@ -18,7 +18,7 @@ LAWS = ('step', 'paper')
 
 
 def taught(law: str = 'step', **changes: float) -> Detectors:
-    detectors = Detectors(SlipControlParameters(law=law, **changes))
+    detectors = Detectors(lambda: SlipControlParameters(law=law, **changes))
     for each in quiet_windows():
         assert not detectors.update(each, 0.0)
     assert detectors.learned
@@ -27,7 +27,7 @@ def taught(law: str = 'step', **changes: float) -> Detectors:
 
 @pytest.mark.parametrize('law', LAWS)
 def test_nothing_slips_before_the_thresholds_are_learned(law: str) -> None:
-    detectors = Detectors(SlipControlParameters(law=law))
+    detectors = Detectors(lambda: SlipControlParameters(law=law))
     assert not detectors.update(window(0, 100_000, (1.0, 0.0)), 0.0)
 
 
@@ -62,7 +62,7 @@ def test_the_paper_detects_slip_where_the_count_exceeds_its_threshold() -> None:
 
 
 def test_a_camera_without_noise_has_a_smallest_threshold() -> None:
-    detectors = Detectors(SlipControlParameters(law='paper'))
+    detectors = Detectors(lambda: SlipControlParameters(law='paper'))
     for k in range(1000):
         detectors.update(window(k, 0), 0.0)
     assert not detectors.update(window(0, 20), 0.0)
@@ -104,7 +104,7 @@ def test_the_flow_threshold_rises_with_the_advance_in_both_sums() -> None:
 
 
 def test_windows_without_a_frame_are_not_learned_from() -> None:
-    detectors = Detectors(SlipControlParameters())
+    detectors = Detectors(SlipControlParameters)
     for k in range(2000):
         detectors.update(window(k, guided=False), 0.0)
     assert not detectors.learned
@@ -112,7 +112,7 @@ def test_windows_without_a_frame_are_not_learned_from() -> None:
 
 @pytest.mark.parametrize('law', LAWS)
 def test_a_change_of_light_is_no_slip_and_is_not_learned(law: str) -> None:
-    detectors = Detectors(SlipControlParameters(law=law))
+    detectors = Detectors(lambda: SlipControlParameters(law=law))
     for k in range(2000):
         assert not detectors.update(window(k, 5000, (0.5, 0.0), light=True), 0.0)
     assert not detectors.learned
@@ -130,7 +130,7 @@ def test_events_that_do_not_agree_on_a_translation_are_no_slip() -> None:
 
 
 def test_a_small_slip_while_it_learns_does_not_raise_the_threshold() -> None:
-    expected, detectors = taught(), Detectors(SlipControlParameters())
+    expected, detectors = taught(), Detectors(SlipControlParameters)
     for each in quiet_windows(1030):
         slips = 100_000 < each.end_us <= 110_000
         detectors.update(window(0, 60, (0.05, 0.0), noise=0.01**2) if slips else each, 0.0)

@@ -29,7 +29,7 @@ class Grasp:
         **changes: object,
     ) -> None:
         self.parameters = SlipControlParameters(**changes)
-        self.law = AdvanceLaw(self.parameters)
+        self.law = AdvanceLaw(lambda: self.parameters)
         self.stiffness, self.first, self.gain, self.noise = stiffness, start, gain, noise
         self.past = [0.0] * (late + 1)
         self.rng = np.random.default_rng(seed)

@@ -32,7 +32,9 @@ def ending(time_s: float, **changes: Any) -> SlipWindow:
 
 
 def heard(now_s: float = NOW) -> SafetyWatch:
-    watch = SafetyWatch(PARAMETERS, lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None)
+    watch = SafetyWatch(
+        lambda: PARAMETERS, lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None
+    )
     watch.on_window(ending(now_s), now_s)
     watch.on_frame(1000, 0.1, now_s)
     watch.on_force(0.5, NOW_US, now_s)
@@ -78,7 +80,7 @@ def test_each_input_is_watched_by_its_own_age(name: str, age: float) -> None:
 
 @pytest.mark.parametrize('name', ['events', 'frames', 'force', 'joint states', 'heartbeat'])
 def test_an_input_that_never_arrived_stops(name: str) -> None:
-    watch = SafetyWatch(PARAMETERS)
+    watch = SafetyWatch(lambda: PARAMETERS)
     refresh(watch, NOW, without=name)
     assert watch.fault(NOW) == f'no {name} so far'
 
@@ -157,7 +159,7 @@ def test_single_full_or_lost_windows_do_not_stop() -> None:
 
 
 def test_by_counts_no_frames_are_needed() -> None:
-    watch = SafetyWatch(SlipControlParameters(law='paper'))
+    watch = SafetyWatch(lambda: SlipControlParameters(law='paper'))
     refresh(watch, NOW, without='frames')
     repeat(watch, 9, guided=False)
     assert watch.fault(NOW) is None
@@ -226,12 +228,12 @@ def test_neither_clocks_apart_nor_a_host_that_catches_up_are_late_events(
     drift: float, offset_s: float
 ) -> None:
     busy = [max(1e-3 * (18 - 2 * (ms % 500)), 1e-3) for ms in range(20_000)]
-    found = fed(SafetyWatch(PARAMETERS), [offset_s + delay for delay in busy], drift)
+    found = fed(SafetyWatch(lambda: PARAMETERS), [offset_s + delay for delay in busy], drift)
     assert set(found) == {None}
 
 
 def test_a_clock_that_did_not_run_yet_makes_no_events_late() -> None:
-    watch = SafetyWatch(PARAMETERS)
+    watch = SafetyWatch(lambda: PARAMETERS)
     watch.on_window(ending(NOW - 1e-3), 0.0)
     refresh(watch, NOW, without='')
     assert watch.fault(NOW) is None
@@ -247,7 +249,7 @@ def test_a_force_of_another_time_than_the_events_stops(seconds: float) -> None:
 
 
 def test_only_a_new_force_is_news() -> None:
-    watch = SafetyWatch(PARAMETERS)
+    watch = SafetyWatch(lambda: PARAMETERS)
     assert watch.on_force(0.5, 1000, NOW)
     assert not watch.on_force(0.5, 1000, NOW + 0.01)
     assert not watch.on_force(math.nan, 2000, NOW + 0.01)

@@ -138,29 +138,32 @@ def _joint(element: ET.Element) -> UrdfJoint:
 
 
 def _number(element: ET.Element | None, key: str, default: float, joint: str) -> float:
-    text = None if element is None else element.get(key)
-    if text is None:
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        raise RobotDescriptionError(f'joint {joint!r}: {key}="{text}" is no number')
+    (value,) = _numbers(element, key, (default,), joint)
     return value
 
 
 def _vector(element: ET.Element | None, key: str, default: Vector, joint: str) -> Vector:
+    x, y, z = _numbers(element, key, default, joint)
+    if not math.isfinite(x + y + z):
+        raise RobotDescriptionError(f'joint {joint!r}: {key} is not three finite numbers')
+    return x, y, z
+
+
+def _numbers(
+    element: ET.Element | None, key: str, default: tuple[float, ...], joint: str
+) -> tuple[float, ...]:
     text = None if element is None else element.get(key)
     if text is None:
         return default
     try:
-        x, y, z = (float(part) for part in text.split())
+        values = tuple(float(part) for part in text.split())
     except ValueError:
-        x = y = z = math.nan
-    if not math.isfinite(x + y + z):
-        raise RobotDescriptionError(f'joint {joint!r}: {key}="{text}" is not three numbers')
-    return x, y, z
+        values = ()
+    if len(values) != len(default) or any(map(math.isnan, values)):
+        raise RobotDescriptionError(
+            f'joint {joint!r}: {key}="{text}" is not {len(default)} numbers'
+        )
+    return values
 
 
 def rotations(axes: Floats, angles: Floats) -> Floats:

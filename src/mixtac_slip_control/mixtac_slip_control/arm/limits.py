@@ -191,10 +191,10 @@ class StateChecks:
         self._min_singular = min_singular
         self._good: Floats | None = None
 
-    def check(self, q: Floats) -> str | None:
+    def check(self, q: Floats | Sequence[float]) -> str | None:
         """Return what is wrong with joint positions (n,) [rad], in words, or None."""
         try:
-            values = self._arm.checked(q)
+            values = self._arm.checked(np.asarray(q, np.float64))
         except ArmError as error:
             return str(error)
         if self._good is not None and np.abs(values - self._good).max() < SAME_PLACE_RAD:

@@ -54,10 +54,6 @@ class ArmParts:
             return self.direction
         return np.asarray(self.arm.pose(q)[:3, :3] @ self.direction)
 
-    def check(self, q: Sequence[float]) -> str | None:
-        """Return what is wrong with joint positions [rad], or None."""
-        return self.checks.check(np.asarray(q, np.float64))
-
     def settling_s(self, sag: float, share: float) -> float:
         """Return the time in which the arm settles from a sag within a share of its limits [s].
 
