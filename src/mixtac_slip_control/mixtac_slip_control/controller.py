@@ -413,13 +413,13 @@ class SlipController:
         wanted, full = 0.0, window.count >= SATURATION_COUNT
         if self._planner is not None and not full and self._may_move(now_s):
             reached, force = self._planner.advance_at(now_s), self.watch.force or 0.0
-            wanted = law.update(window.count, count.threshold, reached, force, slipping=slipping)
+            wanted = law.update(window.count, count.limit, reached, force, slipping=slipping)
         return SlipStep(
             end_us=window.end_us,
             count=window.count,
-            background=count.rest.median,
-            background_sigma=count.rest.scale,
-            threshold=count.threshold,
+            background=count.median,
+            background_sigma=count.scale,
+            threshold=count.limit,
             count_slipping=count.slipping,
             flow=detectors.flow.flow,
             flow_threshold=detectors.flow.threshold,

@@ -85,34 +85,22 @@ class RestThreshold:
         self.threshold = math.inf
 
 
-class CountDetector:
+class CountDetector(RestThreshold):
     """The detector of the paper: slip where N_t > N_th.
 
     Attributes:
-        rest: The counts at rest.
-        threshold: N_th; 0 until learned.
+        limit: N_th; 0 until learned.
         slipping: Whether the latest window slipped.
     """
 
-    def __init__(self) -> None:
-        self.rest = RestThreshold()
-        self.threshold, self.slipping = 0.0, False
+    limit = 0.0
+    slipping = False
 
     def update(self, window: SlipWindow) -> bool:
         """Return whether a window slips."""
-        if self.rest.learned:
-            self.threshold = max(self.rest.threshold, self.rest.median + MIN_EXCESS)
-        self.slipping = self.rest.learned and window.count > self.threshold
+        self.limit = max(self.threshold, self.median + MIN_EXCESS) if self.learned else 0.0
+        self.slipping = self.learned and window.count > self.limit
         return self.slipping
-
-    def learn(self, window: SlipWindow) -> None:
-        """Learn from a window at rest."""
-        self.rest.learn(float(window.count))
-
-    def reset(self) -> None:
-        """Forget the background."""
-        self.rest.reset()
-        self.threshold, self.slipping = 0.0, False
 
 
 class FlowDetector:
@@ -210,7 +198,7 @@ class Detectors:
     @property
     def learned(self) -> bool:
         """Whether the thresholds of the detector that decides are known."""
-        return self.count.rest.learned and (self.by_count or self.flow.learned)
+        return self.count.learned and (self.by_count or self.flow.learned)
 
     def update(self, window: SlipWindow, advance_m: float) -> bool:
         """Return whether the object slips; until they are learned, learn from the window instead.
@@ -226,7 +214,7 @@ class Detectors:
         by_flow = self.flow.update(window, self._parameters().min_flow, advance_m)
         self.slipping = by_count if self.by_count else by_flow
         if window.complete and not self.slipping:
-            self.count.learn(window)
+            self.count.learn(float(window.count))
             self.flow.learn(window)
         return self.slipping
 
@@ -234,7 +222,7 @@ class Detectors:
         """Forget the thresholds."""
         self.count.reset()
         self.flow.reset()
-        self.slipping = False
+        self.slipping = self.count.slipping = False
 
 
 LEARNING_S: Final = LEARNING_WINDOWS * WINDOW_S

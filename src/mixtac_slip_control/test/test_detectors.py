@@ -53,7 +53,7 @@ def test_the_threshold_is_far_out_in_the_tail_and_stays_there() -> None:
 def test_the_paper_detects_slip_where_the_count_exceeds_its_threshold() -> None:
     detectors = taught('paper')
     detectors.update(window(0), 0.0)
-    threshold = detectors.count.threshold
+    threshold = detectors.count.limit
     assert not detectors.update(window(0, math.floor(threshold)), 0.0)
     assert detectors.update(window(1, math.floor(threshold) + 1), 0.0)
     assert not detectors.update(window(2, 30), 0.0)

@@ -320,7 +320,7 @@ class AdvancePlanner:
 
     def _clear(self) -> None:
         self._knots = [Knot(0, 0.0, 0.0, 0.0, 0.0)]
-        self._now_ns = 0
+        self._now_ns: int = 0
         self._sent_ns: int | None = None
 
     def _state(self, t_ns: int) -> Knot:
