@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -64,20 +64,15 @@ class GuideMaker:
 
     Args:
         parameters: Where the contact is in the image.
+
+    Attributes:
+        centre: Column and row of the contact [px] where the parameters give none; None: the middle.
     """
 
     def __init__(self, parameters: SlipControlParameters) -> None:
         self.parameters = parameters
-        self._size = (0, 0)
-        self._centre: tuple[float, float] | None = None
-
-    def contact_at(self, column: float, row: float) -> None:
-        """Set the contact in later images [px], unless the parameters do."""
-        before = self._centre
-        if self.parameters.contact_place is not None:
-            return
-        if before is None or math.dist(before, (column, row)) > LEAST_MOVE_PX:
-            self._centre, self._size = (column, row), (0, 0)
+        self._made_for: tuple[Any, Any] | None = None
+        self.centre: tuple[float, float] | None = None
 
     def make(self, image: NDArray[np.uint8] | NDArray[np.uint16], frame_us: int) -> FlowGuide:
         """Return the guide of a frame.
@@ -89,7 +84,7 @@ class GuideMaker:
         Raises:
             SlipControlError: An image that is too small or has more than one channel.
         """
-        if image.shape != self._size:
+        if (image.shape, self.centre) != self._made_for:
             self._resize(image.shape)
         binned, logs, along_x, along_y = self._work
         bin_mean(image, BIN, binned)
@@ -115,7 +110,7 @@ class GuideMaker:
             )
         height, width = size
         shape = (height // BIN, width // BIN)
-        centre = self.parameters.contact_place or self._centre
+        centre = self.parameters.contact_place or self.centre
         column, row = centre or (width / 2.0, height / 2.0)
         reach = REACH_SHARE * min(size)
         across = (BIN * np.arange(shape[1]) + 0.5 * (BIN - 1) - column) / reach
@@ -126,7 +121,7 @@ class GuideMaker:
         self._weight = weight.astype(np.float32)
         self._weight_squares = float(np.sum(weight**2))
         self._work = [np.empty(shape, np.float32) for _ in range(4)]
-        self._size = (height, width)
+        self._made_for = (size, self.centre)
 
 
 def _solver(fields: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -276,8 +271,10 @@ class SlipFeatures:
         The next frame uses it. A place outside of the image is ignored.
         """
         height, width = self._size or (0, 0)
-        if 0.0 <= column < width and 0.0 <= row < height:
-            self._maker.contact_at(column, row)
+        before = self._maker.centre
+        moved = before is None or math.dist(before, (column, row)) > LEAST_MOVE_PX
+        if moved and 0.0 <= column < width and 0.0 <= row < height:
+            self._maker.centre = (column, row)
 
     def lost_before(self, time_us: int) -> None:
         """Note that events before a time (camera clock [us]) are missing."""

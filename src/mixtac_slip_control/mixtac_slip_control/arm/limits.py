@@ -55,13 +55,8 @@ class JointLimits:
         rates = (self.velocity, self.acceleration, self.jerk)
         if any(values.shape != self.lower.shape for values in (self.upper, *rates)):
             raise ArmError('joint limits of different lengths: give one value for each joint')
-        if not (self.lower < self.upper).all():
-            raise ArmError(
-                f'joint positions from {self.lower.tolist()} to {self.upper.tolist()} rad leave a '
-                'joint no room: give lower < upper'
-            )
-        if not all((values > 0.0).all() for values in rates):
-            raise ArmError('a joint limit of velocity, acceleration or jerk is not > 0')
+        if not (self.lower < self.upper).all() or not all((rate > 0.0).all() for rate in rates):
+            raise ArmError('a joint has no range, or a limit that is not > 0: give lower < upper')
 
     @classmethod
     def fr3(cls) -> JointLimits:
@@ -131,10 +126,7 @@ class JointLimits:
         offset, slope, upper, lower = self.envelope
         high = np.sqrt(np.maximum(0.0, slope * (upper - q))) - offset
         low = np.sqrt(np.maximum(0.0, slope * (q - lower))) - offset
-        return (
-            -np.clip(low, 0.0, self.velocity),
-            np.clip(high, 0.0, self.velocity),
-        )
+        return -np.clip(low, 0.0, self.velocity), np.clip(high, 0.0, self.velocity)
 
     def violation(self, q: Floats, names: tuple[str, ...], margin: float = 0.0) -> str | None:
         """Return which joint is outside its range, in words, or None.

@@ -199,7 +199,7 @@ class AdvancePlanner:
         self.refused = 0
         self.line: JointLine | None = None
         self.motion_limits = MotionLimits(0.0, 0.0, 0.0)
-        self._most = 0.0
+        self._most, self._now_ns = 0.0, 0
         self._ruckig, self._motion, self._input = Ruckig(1), Motion(1), InputParameter(1)
         self._clear()
 
@@ -320,7 +320,7 @@ class AdvancePlanner:
 
     def _clear(self) -> None:
         self._knots = [Knot(0, 0.0, 0.0, 0.0, 0.0)]
-        self._now_ns: int = 0
+        self._now_ns = 0
         self._sent_ns: int | None = None
 
     def _state(self, t_ns: int) -> Knot:
