@@ -99,22 +99,6 @@ def test_pressing_cancels_in_the_translation() -> None:
     assert back.pressing == pytest.approx(-0.4 / CONTRAST, rel=0.2)
 
 
-def test_flicker_makes_events_but_no_motion() -> None:
-    y, x = np.mgrid[0:HEIGHT:3, 0:WIDTH:3]
-    n = x.size
-    flash = Events(
-        np.zeros(n, np.int64),
-        x.ravel().astype(np.uint16),
-        y.ravel().astype(np.uint16),
-        np.ones(n, np.bool_),
-    )
-    features = SlipFeatures(SlipControlParameters())
-    features.frame(np.round(REST).astype(np.uint16), 0)
-    (window,) = features.push(flash, 1000)
-    assert window.count == n
-    assert np.hypot(window.flow_x, window.flow_y) < 0.25
-
-
 def test_counts_come_without_frames_and_lost_packets_are_marked() -> None:
     features = SlipFeatures(SlipControlParameters())
     t = np.array([100, 1200, 1300, 2900])
@@ -156,29 +140,11 @@ def test_parameters_fix_the_place_of_the_contact() -> None:
     assert window.flow_x == pytest.approx(0.4 / CONTRAST, rel=0.15)
 
 
-@pytest.mark.parametrize(('column', 'row'), [(170.0, 130.0), (345.0, 259.0), (1e4, 0.0)])
-def test_a_contact_anywhere_lets_the_kernels_be_compiled(column: float, row: float) -> None:
-    features = SlipFeatures(SlipControlParameters(contact=f'{column} {row}'))
-    features.warm_up()
-    features.frame(np.round(REST).astype(np.uint16), 0)
-    # Slip at a contact outside of the image cannot be seen.
-    assert (features.contrast == 0.0) == (column > WIDTH)
-    (window,) = features.push(events_of(np.ones_like(STILL), STILL), 1000)
-    assert np.isfinite([window.flow_x, window.flow_y, window.noise]).all()
-
-
 def test_an_old_frame_is_not_used() -> None:
     features = SlipFeatures(SlipControlParameters())
     features.frame(np.round(REST).astype(np.uint16), 0)
     assert features.push(events_of(STILL, STILL + 0.3), 1000)[0].guided
     assert not features.push(Events.empty(), 900_000)[-1].guided
-
-
-def test_a_black_frame_gives_no_motion() -> None:
-    features = SlipFeatures(SlipControlParameters())
-    features.frame(np.zeros((HEIGHT, WIDTH), np.uint16), 0)
-    (window,) = features.push(events_of(0.4 * PATCH, STILL), 1000)
-    assert window.flow_x == window.flow_y == 0.0
 
 
 @pytest.mark.parametrize('size', [(480, 640), (180, 240)])

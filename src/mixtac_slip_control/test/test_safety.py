@@ -95,14 +95,6 @@ def test_light_that_lasted_for_long_is_over_when_it_is_over() -> None:
     assert watch.fault(NOW) is None
 
 
-def test_a_force_that_is_valid_again_may_be_followed() -> None:
-    watch = heard()
-    watch.on_quality('stale')
-    assert watch.fault(NOW) is not None
-    watch.on_quality('')
-    assert watch.fault(NOW) is None
-
-
 def repeat(watch: SafetyWatch, times: int, **changes: Any) -> None:
     for _ in range(times):
         watch.on_window(ending(NOW, **changes), NOW)
@@ -179,14 +171,6 @@ def test_joint_states_are_as_old_as_their_stamps() -> None:
         assert 'joint states' in str(watch.fault(NOW))
 
 
-def test_one_low_force_and_light_now_and_then_do_not_stop() -> None:
-    watch = heard()
-    watch.on_force(-0.5, NOW_US + 1000, NOW + 1e-3)
-    for index in range(4 * LIGHT_WINDOWS):
-        watch.on_window(ending(NOW, light=index % 2 == 0), NOW)
-    assert watch.fault(NOW) is None
-
-
 def test_a_force_that_is_repeated_grows_old() -> None:
     watch = heard()
     for k in range(10):
@@ -232,13 +216,6 @@ def test_neither_clocks_apart_nor_a_host_that_catches_up_are_late_events(
     assert set(found) == {None}
 
 
-def test_a_clock_that_did_not_run_yet_makes_no_events_late() -> None:
-    watch = SafetyWatch(lambda: PARAMETERS)
-    watch.on_window(ending(NOW - 1e-3), 0.0)
-    refresh(watch, NOW, without='')
-    assert watch.fault(NOW) is None
-
-
 @pytest.mark.parametrize('seconds', [-5.0, -0.08, 0.08, 5.0])
 def test_a_force_of_another_time_than_the_events_stops(seconds: float) -> None:
     watch = heard()
@@ -246,14 +223,6 @@ def test_a_force_of_another_time_than_the_events_stops(seconds: float) -> None:
     assert 'force' in str(watch.fault(NOW))
     watch.on_force(0.5, NOW_US + round(0.5e6 * math.copysign(0.08, seconds)), NOW)
     assert watch.fault(NOW) is None
-
-
-def test_only_a_new_force_is_news() -> None:
-    watch = SafetyWatch(lambda: PARAMETERS)
-    assert watch.on_force(0.5, 1000, NOW)
-    assert not watch.on_force(0.5, 1000, NOW + 0.01)
-    assert not watch.on_force(math.nan, 2000, NOW + 0.01)
-    assert watch.on_force(0.6, 3000, NOW + 0.02)
 
 
 def test_the_interlock_starts_disabled_and_latches_the_first_fault() -> None:

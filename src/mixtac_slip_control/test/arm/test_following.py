@@ -132,15 +132,6 @@ def test_a_controller_that_moves_cannot_be_taken_over() -> None:
     assert chain.watch.commanded(START_S + 1.0) is None
 
 
-def test_a_motion_before_the_clock_started_anew_holds_nothing_up() -> None:
-    chain = Chain()
-    for k, q in enumerate((READY, READY + 1e-4)):
-        chain.watch.on_commanded(q, START_S + 1e-3 * k)
-    early_s = START_S - 100.0
-    chain.watch.on_commanded(READY + 1e-4, early_s)
-    assert chain.watch.reason_not_to_enable(early_s, early_s) is None
-
-
 def test_a_controller_whose_commands_are_needed_must_report() -> None:
     chain = Chain()
     chain.watch.needs_commands = True

@@ -125,12 +125,6 @@ def test_joints_are_picked_by_name() -> None:
     assert backend.state().stamp_s == 6.0
 
 
-def test_trajectories_are_published() -> None:
-    sent = []
-    TrajectoryBackend(('a',), sent.append).send('trajectory')
-    assert sent == ['trajectory']
-
-
 SAFE = {
     'interpolate_from_desired_state': True,
     'allow_trajectory_replacement': False,

@@ -171,20 +171,6 @@ def test_stop_brakes_within_the_limits_and_comes_to_rest(planner):
     assert planner.stop(6.0) is None
 
 
-def test_the_commanded_advance_is_that_of_the_trajectory(planner):
-    trajectory = planner.plan(1.7e9, 0.001)
-    for t, q in zip(trajectory.times_s, trajectory.q, strict=True):
-        advance = planner.advance_at(trajectory.stamp_s + t)
-        assert np.allclose(planner.line.at(advance), q, atol=1e-6)
-    assert planner.advance_at(1.7e9 - 10) == 0.0
-    assert planner.advance_at(1.7e9 + 10) == pytest.approx(0.001)
-
-
-def test_without_a_plan_nothing_is_commanded(planner):
-    assert planner.advance_at(1.0) == 0.0
-    assert planner.stop(1.0) is None
-
-
 @pytest.mark.parametrize(
     ('now', 'advance', 'error'),
     [
@@ -219,13 +205,6 @@ def test_an_advance_that_the_arm_cannot_make_is_refused_at_the_reset():
         planner.reset(stretched, np.array([0.0, 0.0, 1.0]))
     with pytest.raises(ArmError):
         planner.reset(READY, X, 1.0)
-
-
-def test_the_largest_advance_is_that_of_the_reset(planner):
-    planner.reset(READY, X, 1e-3)
-    with pytest.raises(UnreachableError):
-        planner.plan(5.0, 1.5e-3)
-    assert planner.plan(5.0, 1e-3) is not None
 
 
 def test_it_moves_until_the_last_point(planner):
