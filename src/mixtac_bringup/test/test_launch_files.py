@@ -153,10 +153,10 @@ def test_a_recording_without_checks_starts_its_recorder(recorder):
     assert '/mixtac/events' in command[command.index('--topics') :]
 
 
-def test_slip_control_takes_its_arm_and_detector():
-    found, _ = processes('slip_control', arm='fr3', detector='count')
+def test_slip_control_takes_its_arm_and_law():
+    found, _ = processes('slip_control', arm='fr3', law='paper')
     assert names(found) == [('mixtac_slip_control', 'slip_control_node')]
-    assert {"arm:='fr3'", "detector:='count'"} <= set(words(found[0]))
+    assert {"arm:='fr3'", "law:='paper'"} <= set(words(found[0]))
 
 
 def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
@@ -165,8 +165,8 @@ def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
 
 
 def test_numbers_may_have_an_exponent():
-    found, _ = processes('slip_control', max_total='2e-4', arm_address='172.16.0.2')
-    assert {'max_total:=0.0002', "arm_address:='172.16.0.2'"} <= set(words(found[0]))
+    found, _ = processes('slip_control', max_total='2e-4', controller='/arm')
+    assert {'max_total:=0.0002', "controller:='/arm'"} <= set(words(found[0]))
 
 
 def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:

@@ -36,11 +36,22 @@ RESERVE: Final = 1.25
 """Stiffness of a fast step over that of a slow press, in which the gel relaxes."""
 PRECISE: Final = 0.1
 """Relative standard deviation of the stiffness from which it counts as measured."""
+LARGEST_RATIO: Final = 20.0
+"""Largest ratio of two forces for which a contact stiffens."""
 FOLLOW_SHARE: Final = 0.01
 """Share of its difference by which the force at advance zero follows a measured force at rest, as
 the gel relaxes: 0.2 s at 500 Hz."""
 DRIFT: Final = 2e-6
 """Variance by which the force at advance zero may change from one force to the next [N^2]."""
+
+
+def stiffening(from_n: float, to_n: float) -> float:
+    """Return the mean stiffness between two forces [N] over that at the first, under a sphere.
+
+    Hertz: F ~ x^(3/2). Flat contacts stiffen less.
+    """
+    ratio = min(to_n / max(from_n, 1e-3), LARGEST_RATIO)
+    return (ratio - 1.0) / (1.5 * (ratio ** (2.0 / 3.0) - 1.0)) if ratio > 1.0 + 1e-6 else 1.0
 
 
 class Contact:
@@ -86,7 +97,8 @@ class Contact:
 
     def reach(self, force_n: float, advance: float) -> float:
         """Return the advance that is safe for a force [N], from an advance that was reached [m]."""
-        return advance + (force_n - self.at(advance)) / self.bound
+        now_n = self.at(advance)
+        return advance + (force_n - now_n) / (self.bound * stiffening(now_n, force_n))
 
     def on_force(self, force_n: float, advance: float, spread: float, *, learn: bool) -> None:
         """Use a force.
@@ -162,6 +174,8 @@ SLIP_RATIO: Final = 1.4
 """Least ratio of the force that answers a slip to the force at enabling."""
 PATIENCE_S: Final = 0.03
 """Time of a slip after which its answer is raised, if the press has measured the stiffness [s]."""
+PRESSED: Final = 1.05
+"""Least ratio of the pressed force to that at enabling with which the stiffness is measured."""
 RAISE_RATE: Final = 5.0
 """Rate of that raise [N/s], up to the usable force."""
 HOLD_S: Final = 0.3
@@ -241,7 +255,9 @@ class StepLaw:
         if phase is self.phase:
             return
         if phase is Phase.SLIP:
-            self._from, self._measured = total, contact.precise
+            # The slow press alone measures the stiffness well enough for more than one step.
+            pressed = self.phase in {Phase.KEEP, Phase.RETURN} and self.goal > PRESSED * self._start
+            self._from, self._measured = total, pressed and contact.precise
             if self.phase is Phase.RETURN:
                 self._floor = total  # a return that led to a slip is not repeated
         self.phase, self._windows = phase, 0
