@@ -57,8 +57,6 @@ def simulate(
         OptionalPath, typer.Option(help='Folder of the bags; an interrupted run resumes there.')
     ] = None,
     jobs: Annotated[int, typer.Option(min=0, help='Processes; 0 for one per core.')] = 0,
-    backend: Annotated[str, typer.Option(help='loky (this machine) or dask.')] = 'loky',
-    scheduler: Annotated[str, typer.Option(help='Address of a running Dask scheduler.')] = '',
     compress: Annotated[
         bool, typer.Option(help='Compress the bags (zstd): half the size, slightly slower.')
     ] = False,
@@ -77,7 +75,7 @@ def simulate(
         draw_preview(plan.trials[0], preview)
         console.print(f'first trial drawn: {preview}')
     if out is not None:
-        _generate(console, plan, out, jobs or os.cpu_count() or 1, backend, scheduler, compress)
+        _generate(console, plan, out, jobs or os.cpu_count() or 1, compress)
 
 
 def _description(
@@ -97,8 +95,6 @@ def _generate(
     plan: DatasetDescription,
     out: Path,
     jobs: int,
-    backend: str,
-    scheduler: str,
     compress: bool,
 ) -> None:
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
@@ -109,8 +105,6 @@ def _generate(
                 plan,
                 out,
                 jobs=jobs,
-                backend=backend,
-                scheduler=scheduler,
                 compress=compress,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )

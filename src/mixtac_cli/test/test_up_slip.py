@@ -23,7 +23,7 @@ rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
-from mixtac_sim.arm.fr3 import READY, flange_place  # noqa: E402
+from mixtac_sim.arm import READY, flange_place  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -148,12 +148,9 @@ class VirtualArmParameters:
         trajectory_topic: Topic of the trajectories, as for a joint_trajectory_controller
         joint_state_topic: Topic of the published joint states
         state_rate: Rate of the published joint states
-        update_rate: Update rate of the emulated controller; with plant mujoco, 4000 Hz over a whole
-            number
+        update_rate: Update rate of the emulated controller
         release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
             later
-        plant: Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo
-            (requirements/mujoco.txt) with servos of that lag
         tracking_lag: Time constant with which the arm follows its commands (estimate)
     """
 
@@ -162,5 +159,4 @@ class VirtualArmParameters:
     state_rate: float = fixed(250.0, unit='Hz', within=(1.0, 1000.0))
     update_rate: float = fixed(1000.0, unit='Hz', within=(100.0, 4000.0))
     release: str = fixed('jazzy', choices=('humble', 'jazzy'))
-    plant: str = fixed('lag', choices=('lag', 'mujoco'))
     tracking_lag: float = fixed(3.5e-3, unit='s', within=(0.0, 0.1))

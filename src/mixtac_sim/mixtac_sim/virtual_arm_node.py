@@ -15,9 +15,16 @@ from mixtac_events.arrays import Floats
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
-from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory, warm_up
-from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
-from mixtac_sim.arm.plant import LaggingArm, MujocoArm
+from mixtac_sim.arm import (
+    JOINT_NAMES,
+    READY,
+    JointTrajectoryController,
+    LaggingArm,
+    Release,
+    Trajectory,
+    violations,
+    warm_up,
+)
 from mixtac_sim.parameters import VirtualArmParameters
 
 BEFORE_S = 100.0
@@ -45,9 +52,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate
         self._controller = JointTrajectoryController(parameters.update_rate, release=release)
-        plant: type[LaggingArm | MujocoArm]
-        plant = MujocoArm if parameters.plant == 'mujoco' else LaggingArm
-        self._plant = plant(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
+        self._arm = LaggingArm(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
         self._recent: list[Floats] = []
         self._first_s, self._cycles = BEFORE_S, 0
         self._accepted = self._rejected = self._violations = 0
@@ -102,7 +107,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             self._recent = [*self._recent[-LIMITS_SEEN + 1 :], command]
             if len(self._recent) == LIMITS_SEEN:
                 self._violations += violations(np.stack(self._recent), self._period_s) > 0
-            self._plant.track(command)
+            self._arm.track(command)
             self._cycles += 1
         return now_s
 
@@ -112,7 +117,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         message = JointState()
         message.header.stamp = ns_to_stamp(now.nanoseconds)
         message.name = list(JOINT_NAMES)
-        message.position = self._plant.q.tolist()
+        message.position = self._arm.q.tolist()
         self._states.publish(message)
 
     def _status(self) -> Status:

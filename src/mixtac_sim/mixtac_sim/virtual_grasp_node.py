@@ -27,7 +27,7 @@ from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim import SimulationError
-from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
+from mixtac_sim.arm import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
 from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_node.base_node import QOS_SENSOR
 from mixtac_node.stamps import ns_to_stamp
-from mixtac_sim.arm.fr3 import JOINT_NAMES, READY
+from mixtac_sim.arm import JOINT_NAMES, READY
 
 pytestmark = pytest.mark.dds
 NAME = 'mixtac/virtual_arm'

@@ -16,8 +16,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_node.base_node import QOS_FORCE
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.pyusb_backend import SocketLink, inject
+from mixtac_sim.usb.pyusb_backend import SocketLink
 
 pytestmark = pytest.mark.dds
 FORCE, TRUTH = '/mixtac/force', '/mixtac/truth/wrench'
@@ -36,22 +35,23 @@ def test_the_force_goes_by_the_clock_of_the_camera(node_under_test, tmp_path):
     graph, path = node_under_test, str(tmp_path / 'camera.sock')
     force = graph.listen(WrenchStamped, FORCE, QOS_FORCE)
     truth = graph.listen(WrenchStamped, TRUTH, QOS_FORCE)
-    graph.start('mixtac_sim.virtual_grasp_node', f'socket:={path}', 'preset:=easy')
+    node = ('mixtac_sim.virtual_grasp_node', f'socket:={path}', 'preset:=easy', 'skew_ppm:=500.0')
+    graph.start(*node)
     graph.spin_until(lambda: force)
-    # From its next start on the camera's clock is a quarter faster.
-    inject(path, Fault(FaultKind.CLOCK_SKEW, amount=250_000.0))
     link = SocketLink(path)
     link.control((0x40, 0xBF, 0, 2), struct.pack('>I', 1), 1000)
     force.clear()
 
-    graph.spin_until(lambda: len(force) > 800)
+    graph.spin_until(lambda: len(force) > 1500)
     link.close()
     # The same wrench was published as the truth and as the force.
     true_s = {values(message): time_s(message) for message in truth}
     found = [(true_s.get(values(each), np.nan), time_s(each)) for each in force[100:]]
     pairs = np.array([pair for pair in found if pair[0] == pair[0]])
     assert np.ptp(pairs[:, 0]) > 0.5
-    assert np.polyfit(*(pairs - pairs[0]).T, 1)[0] == pytest.approx(1.25, abs=1e-3)
+    # A fit over seconds tells 500 ppm from none.
+    rate = np.polyfit(*(pairs - pairs[0]).T, 1)[0]
+    assert rate - 1.0 == pytest.approx(500e-6, abs=50e-6)
     assert graph.stop()[0] == 0
 
 

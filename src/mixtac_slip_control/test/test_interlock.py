@@ -16,8 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_sim.arm import READY, JointTrajectoryController, Trajectory, violations
 from mixtac_slip_control.arm.following import MAX_SAG_RAD
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits

@@ -18,9 +18,14 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_fger.estimator import Estimate
 from mixtac_lab.slip.sensing import SensedForce
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.arm.fr3 import READY, violations
-from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm
+from mixtac_sim.arm import (
+    READY,
+    TRACKING_LAG_S,
+    JointTrajectoryController,
+    LaggingArm,
+    Trajectory,
+    violations,
+)
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.pixels.aps import ApsFrame

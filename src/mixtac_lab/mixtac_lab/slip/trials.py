@@ -23,8 +23,7 @@ from mixtac_lab.slip.loop import (
 )
 from mixtac_lab.slip.sensing import SensedForce, calibrate, sense_grasp
 from mixtac_lab.store import Piece, code_version, files_version
-from mixtac_sim.arm.fr3 import READY
-from mixtac_sim.arm.plant import TRACKING_LAG_S
+from mixtac_sim.arm import READY, TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import ObjectName, draw_setup
 from mixtac_sim.world.effects import preset

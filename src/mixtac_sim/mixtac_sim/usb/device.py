@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.defects import DEFECTS, Defects
 from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
 from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
@@ -35,7 +34,6 @@ _CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
 
 
 _DEFAULT_FIFO: Final = 4 << 20
-_LONG_S: Final = 1e9
 
 
 def _monotonic_us() -> Callable[[], int]:
@@ -75,12 +73,11 @@ class VirtualDavis346:
         self._condition = Condition()
         self._presence = Presence()
         self._faults = FaultInjector(self._condition)
-        self._defects = Defects()
         self._fifo = ByteFifo(fifo_bytes)
         self._data = DataEndpoint(
             self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
         )
-        self._stream = StreamAssembler(self.board, self._fifo, self._defects)
+        self._stream = StreamAssembler(self.board, self._fifo)
         self._power_ups = 0
         self._power_up()
 
@@ -101,8 +98,6 @@ class VirtualDavis346:
             self._presence.plug_in()
             self._faults.clear()
             self._power_up()
-            if self._defects.mute_return:
-                self._faults.begin(Fault(FaultKind.FREEZE, seconds=_LONG_S))
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault."""
@@ -115,11 +110,6 @@ class VirtualDavis346:
                 self.plug_in(fault.serial)
             elif fault.kind is FaultKind.CLEAR:
                 self._faults.clear()
-                self._defects.clear()
-                self._follow_defects()
-            elif fault.kind in DEFECTS:
-                self._defects.begin(fault, self._clock())
-                self._follow_defects()
             elif fault.kind is FaultKind.CLOCK_RESET:
                 self._restart_time(announce=True)
             elif fault.kind is FaultKind.GARBAGE_WORDS:
@@ -392,13 +382,8 @@ class VirtualDavis346:
         self._fifo.clear()
         self._oscillator = Oscillator(self._skew_ppm)
         self._reset_host_us = time.time_ns() // 1000 - self._clock()
-        self._follow_defects()
         self._stream.power_up(self._registers, self._oscillator)
         self._endpoint0 = ControlEndpoint(self._registers, self.serial, self._written)
-
-    def _follow_defects(self) -> None:
-        self._registers.stuck = {Module.BIAS} if self._defects.stuck_biases else set()
-        self._oscillator.next_skew(self._skew_ppm + self._defects.skew_ppm)
 
     def _early_packet_s(self) -> float:
         cycles = self._registers.read(Module.USB, Usb.EARLY_PACKET_DELAY)

@@ -95,18 +95,6 @@ class FaultKind(str, Enum):
         BABBLE: Reads fail because more data came than requested (EOVERFLOW).
         READ_ERROR: Reads fail on the bus (EIO).
         CLOCK_RESET: The camera's clock restarts, as by the synchronisation cable.
-        CLOCK_SKEW: The camera's clock runs ``amount`` ppm faster, from its next start on.
-        LOST_WRAP: Every ``size``-th word of a wrap of the time is lost, ``count`` times.
-        LOST_EDGES: Every ``size``-th edge at the connector is lost.
-        STUCK_BIASES: The chip takes no new biases.
-        MUTE_RETURN: Once unplugged, the camera comes back without data.
-        NOISE: Each event comes with ``amount`` more, elsewhere.
-        LATE_STAMPS: Exposures are stamped ``delay`` seconds late.
-        BLUR: Frames are out of focus, with a standard deviation of ``amount`` pixels.
-        RIPPLE: Events come in the rhythm of a lamp of ``amount`` Hz.
-        HEAT: The camera is ``amount`` kelvin warmer.
-        FLASH: No fault: a light for ``seconds``, after ``delay`` seconds.
-        EDGES: No fault: a signal of ``amount`` Hz at the synchronisation connector.
         CLEAR: All faults end.
     """
 
@@ -125,29 +113,15 @@ class FaultKind(str, Enum):
     BABBLE = 'babble'
     READ_ERROR = 'read_error'
     CLOCK_RESET = 'clock_reset'
-    CLOCK_SKEW = 'clock_skew'
-    LOST_WRAP = 'lost_wrap'
-    LOST_EDGES = 'lost_edges'
-    STUCK_BIASES = 'stuck_biases'
-    MUTE_RETURN = 'mute_return'
-    NOISE = 'noise'
-    LATE_STAMPS = 'late_stamps'
-    BLUR = 'blur'
-    RIPPLE = 'ripple'
-    HEAT = 'heat'
-    FLASH = 'flash'
-    EDGES = 'edges'
     CLEAR = 'clear'
 
 
-_SIGNED: Final = (FaultKind.CLOCK_SKEW, FaultKind.HEAT)
 _LARGEST: Final = {
     'seconds': 1e9,
     'count': 1e9,
     'delay': 1e9,
     'size': 1e9,
     'seed': 2.0**64,
-    'amount': 1e6,
 }
 _LONGEST_SERIAL: Final = 8
 
@@ -163,12 +137,11 @@ class Fault:
         delay: Delay of answers [s].
         size: Bytes lost or inserted.
         seed: Seed of random values.
-        amount: Strength, in the unit of its kind.
         serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`, at most eight
             characters; empty for the same.
 
     Raises:
-        FaultError: A value is not finite, too large, or negative where that means nothing.
+        FaultError: A value is not finite, negative or too large.
     """
 
     kind: FaultKind
@@ -177,18 +150,16 @@ class Fault:
     delay: float = 0.0
     size: int = 0
     seed: int = 0
-    amount: float = 0.0
     serial: str = ''
 
     def __post_init__(self) -> None:
         """Refuse what would end the camera."""
         for name, largest in _LARGEST.items():
             value = getattr(self, name)
-            least = -largest if name == 'amount' and self.kind in _SIGNED else 0
-            if not least <= value <= largest:
+            if not 0 <= value <= largest:
                 raise FaultError(
                     f'{name} of the fault {self.kind.value} is {value!r}',
-                    remedy=f'give {least:g} to {largest:g}',
+                    remedy=f'give 0 to {largest:g}',
                 )
         if len(self.serial) > _LONGEST_SERIAL:
             raise FaultError(

@@ -232,11 +232,9 @@ class RegisterFile:
 
     Attributes:
         writes: Number of registers stored so far.
-        stuck: Modules whose registers keep their values.
     """
 
     def __init__(self, board: Board) -> None:
-        self.stuck: set[int] = set()
         self._read_only = _read_only(board)
         self._values = _power_up(board)
         self._counters: Counter[tuple[int, int]] = Counter()
@@ -256,7 +254,7 @@ class RegisterFile:
         """Store a register; writes to read-only registers and statistics have no effect."""
         key = (module, param)
         fixed = key in self._read_only or key in _STATISTICS
-        if not fixed and module not in self.stuck:
+        if not fixed:
             self._values[key] = value & _MASK
             self.writes += 1
 

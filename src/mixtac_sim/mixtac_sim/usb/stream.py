@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.usb.defects import Defects
 from mixtac_sim.usb.registers import (
     Aps,
     Board,
@@ -178,17 +177,13 @@ class Oscillator:
     """
 
     def __init__(self, skew_ppm: float) -> None:
-        self._skew_ppb = self._next_ppb = round(skew_ppm * 1000)
+        self._skew_ppb = round(skew_ppm * 1000)
         self._skipped_us = 0
         self.origin_us = 0
 
-    def next_skew(self, skew_ppm: float) -> None:
-        """Change the rate [1e-6] with the next reset, so that time does not jump."""
-        self._next_ppb = round(skew_ppm * 1000)
-
     def reset(self, true_us: int) -> None:
         """Restart camera time at zero at this true time."""
-        self.origin_us, self._skew_ppb = true_us, self._next_ppb
+        self.origin_us = true_us
         self._skipped_us = 0
 
     def skip(self, skipped_us: int) -> None:
@@ -211,7 +206,6 @@ _EVENT_SHARE: Final = 0.5
 # The simulation may run ahead: a minute of inertial samples. More means that the device is not
 # advanced; then the oldest go, and events are counted.
 _MAX_WAITING: Final = 1 << 16
-_RISING_EDGE: Final = 3
 
 
 class StreamAssembler:
@@ -222,14 +216,12 @@ class StreamAssembler:
     Args:
         board: The fixed properties of the camera.
         fifo: Buffer for the words.
-        defects: Defects of the camera and signals at it.
 
     Attributes:
         done_us: True time up to which everything was sent [us].
     """
 
-    def __init__(self, board: Board, fifo: ByteFifo, defects: Defects) -> None:
-        self._defects = defects
+    def __init__(self, board: Board, fifo: ByteFifo) -> None:
         self._board = board
         self._fifo = fifo
         self._events: deque[Events] = deque(maxlen=_MAX_WAITING)
@@ -263,11 +255,6 @@ class StreamAssembler:
             and read(Module.MUX, Mux.RUN)
             and read(Module.MUX, Mux.TIMESTAMP_RUN)
         )
-
-    @property
-    def _detects_edges(self) -> bool:
-        read = self._registers.read
-        return bool(read(Module.EXTINPUT, 0) and read(Module.EXTINPUT, 1))
 
     def settings_changed(self) -> None:
         """Read the event filter settings again."""
@@ -326,7 +313,7 @@ class StreamAssembler:
             if due < len(events):
                 self._events.appendleft(events[due:])
             parts.append(events[:due])
-        events = self._defects.events(Events.concatenate(parts), true_us)
+        events = Events.concatenate(parts)
         events = events[int(np.searchsorted(events.t, self._oscillator.origin_us)) :]
         camera_us = self._oscillator.to_camera(events.t)
         return Events(camera_us, events.x, events.y, events.polarity)
@@ -346,14 +333,14 @@ class StreamAssembler:
         return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
 
     def _due_samples(self, true_us: int) -> list[Blocks]:
-        samples = [_edge(t) for t in self._defects.edges(true_us) if self._detects_edges]
+        samples: list[Blocks] = []
         if not (self._readings and self._readings[0].t_us < true_us):
             return samples
         settings = self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                samples.append(imu_blocks(self._defects.reading(reading), settings))
+                samples.append(imu_blocks(reading, settings))
         return samples
 
     def _begin_frame(self, frame: ApsFrame) -> Blocks:
@@ -362,7 +349,7 @@ class StreamAssembler:
             return Blocks.empty()
         self._snapshot = False
         self.late_frames += frame.frame_start_us < self.done_us
-        return frame_blocks(self._defects.frame(frame), self._readout_settings())
+        return frame_blocks(frame, self._readout_settings())
 
     def _readout_settings(self) -> ReadoutSettings:
         def read(param: int) -> int:
@@ -412,7 +399,7 @@ class StreamAssembler:
         words: NDArray[np.uint16] = self._encoder.encode(
             events, blocks, until_us, coalesce=self._stalled
         )
-        fitted = self._fifo.push(self._defects.words(words))
+        fitted = self._fifo.push(words)
         self._stalled = self._stalled and not fitted
         return fitted
 
@@ -420,7 +407,3 @@ class StreamAssembler:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)
         module, param = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
         self._registers.count(module, param, events)
-
-
-def _edge(t: int) -> Blocks:
-    return Blocks.from_lists([t], [True], [[_RISING_EDGE]])

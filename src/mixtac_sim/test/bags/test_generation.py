@@ -48,23 +48,12 @@ def test_a_data_set_is_its_bags_and_its_description(whole):
     assert DatasetDescription.read(whole).complete
 
 
-def test_an_unknown_backend_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(RecordingError) as caught:
-        generate(description(), tmp_path / 'set', backend='spark')
-    assert caught.value.remedy
-    assert not (tmp_path / 'set').exists()
-
-
-@pytest.mark.parametrize('backend', ['loky', 'dask'])
-def test_processes_write_the_same_bytes(whole, tmp_path, backend):
-    if backend == 'dask':
-        pytest.importorskip('dask.distributed', reason='dask[distributed] is an optional extra')
+def test_processes_write_the_same_bytes(whole, tmp_path):
     steps = []
     made = generate(
         description(),
         tmp_path,
         jobs=2,
-        backend=backend,
         on_progress=lambda done, total: steps.append((done, total)),
     )
     assert made == 2
@@ -158,12 +147,6 @@ def test_a_bag_that_cannot_be_written_is_named(tmp_path):
 def test_an_unknown_backend_is_refused(tmp_path):
     with pytest.raises(RecordingError):
         generate(description(trials=1), tmp_path, backend='ray')
-
-
-def test_dask_that_is_missing_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, 'dask.distributed', None)
-    with pytest.raises(RecordingError):
-        generate(description(trials=1), tmp_path, backend='dask')
 
 
 def test_a_killed_worker_is_an_expected_failure(tmp_path, monkeypatch):

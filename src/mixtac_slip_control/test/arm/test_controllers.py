@@ -15,8 +15,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_sim.arm import READY, JointTrajectoryController, Trajectory, violations
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.model import unsafe_setting

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.arm.fr3 import READY
-from mixtac_sim.arm.plant import LaggingArm
+from mixtac_sim.arm import READY, JointTrajectoryController, LaggingArm, Trajectory
 from mixtac_slip_control.arm.following import FollowingWatch
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -20,7 +18,7 @@ from mixtac_slip_control.errors import ArmError
 from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
-    from mixtac_sim.arm.controller import Release
+    from mixtac_sim.arm import Release
 
 SIDEWAYS = np.array([0.0, 1.0, 0.0])
 START_S = 100.0

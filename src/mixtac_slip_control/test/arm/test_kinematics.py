@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.arm.fr3 import READY, flange_place
+from mixtac_sim.arm import READY, flange_place
 from mixtac_slip_control.arm.kinematics import FR3_READY, SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.errors import ArmError, RobotDescriptionError

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mixtac_sim.arm.fr3 import DQ_MAX, Q_LOWER, Q_UPPER, READY
+from mixtac_sim.arm import DQ_MAX, Q_LOWER, Q_UPPER, READY
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.errors import ArmError

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.arm.fr3 import READY, flange_place, violations
+from mixtac_sim.arm import READY, JointTrajectoryController, Trajectory, flange_place, violations
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner

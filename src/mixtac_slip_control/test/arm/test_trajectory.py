@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.arm.controller import JointTrajectoryController
-from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_sim.arm import READY, JointTrajectoryController, violations
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.trajectory import (
     PlannedTrajectory,

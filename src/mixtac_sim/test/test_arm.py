@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim import SimulationError
-from mixtac_sim.arm.fr3 import READY, flange_place, violations
-from mixtac_sim.arm.plant import LaggingArm
+from mixtac_sim.arm import READY, LaggingArm, flange_place, violations
 
 
 def test_flange_of_the_ready_pose() -> None:

@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""An emulated joint_trajectory_controller of ros2_control.
+"""The simulated Franka Research 3: its geometry and limits, its controller, and its lag.
 
-Written from the behaviour of ros2_controllers' source and its issues 697, 780 and 1306: a message
-takes effect at the next cycle and replaces the one before; before its first point the motion goes
-from the last command; points with position, velocity and acceleration are joined by quintics, with
-velocity by cubics, else by lines; after the last point that point is held.
+Geometry and limits are written independently of the slip controller's own. Modified
+Denavit-Hartenberg parameters and positions: Franka's documentation and franka_description; speeds:
+joint speed at mid range; acceleration and jerk: libfranka.
+
+The controller is a joint_trajectory_controller of ros2_control, written from the behaviour of
+ros2_controllers' source and its issues 697, 780 and 1306: a message takes effect at the next cycle
+and replaces the one before; before its first point the motion goes from the last command; points
+with position, velocity and acceleration are joined by quintics, with velocity by cubics, else by
+lines; after the last point that point is held. Each joint follows its command with a lag.
 """
 
 from __future__ import annotations
@@ -17,7 +22,70 @@ import numpy as np
 from numba import njit
 
 from mixtac_events.arrays import Floats
-from mixtac_sim.arm.fr3 import READY
+from mixtac_sim import SimulationError
+
+JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))
+A_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
+D_M = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0)
+ALPHA = (0.0, -0.5 * np.pi, 0.5 * np.pi, 0.5 * np.pi, -0.5 * np.pi, 0.5 * np.pi, 0.5 * np.pi)
+FLANGE_M = 0.107
+READY = np.radians([0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])
+"""Ready pose [rad]."""
+Q_LOWER = np.array([-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159])
+Q_UPPER = np.array([2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159])
+"""Positions [rad]."""
+DQ_MAX = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+"""Speeds [rad/s]; near the ends of a joint's range less is allowed."""
+DDQ_MAX = 10.0
+"""Acceleration of every joint [rad/s2]."""
+DDDQ_MAX = 5000.0
+"""Jerk of every joint [rad/s3]."""
+
+
+def flange_place(q: Floats) -> Floats:
+    """Return the place of the flange [3] [m] in the base frame.
+
+    Args:
+        q: Joint positions [7] [rad].
+    """
+    pose = np.eye(4)
+    for a, d, alpha, angle in zip(A_M, D_M, ALPHA, q, strict=True):
+        pose = pose @ _link(a, d, alpha, float(angle))
+    return np.asarray(pose[:3, 3] + FLANGE_M * pose[:3, 2])
+
+
+def _link(a: float, d: float, alpha: float, angle: float) -> Floats:
+    """Return one modified Denavit-Hartenberg transform."""
+    ct, st, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [
+            [ct, -st, 0.0, a],
+            [st * ca, ct * ca, -sa, -d * sa],
+            [st * sa, ct * sa, ca, d * ca],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def violations(q: Floats, period_s: float) -> int:
+    """Return how many samples of a commanded motion break a limit.
+
+    Args:
+        q: Joint positions [n, 7] [rad], one per control cycle.
+        period_s: Period of the control cycle [s].
+    """
+    dq = np.diff(q, axis=0) / period_s
+    ddq = np.diff(dq, axis=0) / period_s
+    dddq = np.diff(ddq, axis=0) / period_s
+    # Rounding may exceed a limit by a thousandth.
+    room = 1.0 + 1e-3
+    broken = [
+        np.any((q < Q_LOWER) | (q > Q_UPPER), axis=1),
+        np.any(np.abs(dq) > room * DQ_MAX, axis=1),
+        np.any(np.abs(ddq) > room * DDQ_MAX, axis=1),
+        np.any(np.abs(dddq) > room * DDDQ_MAX, axis=1),
+    ]
+    return int(sum(np.count_nonzero(each) for each in broken))
 
 
 @njit(cache=True, nogil=True)
@@ -225,3 +293,59 @@ class _Active:
             states = (self._states[k], self._states[k + 1])
         since_s, span_s = t_s - ends[0], ends[1] - ends[0]
         return np.asarray(interpolate(states[0], states[1], span_s, since_s, self._order))
+
+
+TRACKING_LAG_S = 3.5e-3
+"""Time constant of the arm's own position control [s]: 3 to 4 ms were seen on libfranka's wire
+protocol in simulation, 40 ms with the effort controller that franka_ros2 ships."""
+
+
+class LaggingArm:
+    """Joints that follow their commands with a first-order lag.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        normal: Direction of the fingertip's advance in the base frame [3], of length 1.
+        lag_s: Time constant of the lag [s].
+        period_s: Period of the commands [s].
+
+    Raises:
+        SimulationError: The lag is negative.
+    """
+
+    def __init__(
+        self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S, period_s: float = 1e-3
+    ) -> None:
+        if lag_s < 0.0:
+            raise SimulationError(f'tracking lag of {lag_s} s; give 0 or more')
+        self._q = np.array(q, np.float64)
+        self._keep = float(np.exp(-period_s / lag_s)) if lag_s > 0.0 else 0.0
+        self._normal = normal
+        self._start = flange_place(self._q)
+        self._last_mm = 0.0
+
+    @property
+    def q(self) -> Floats:
+        """Return the joint positions [7] [rad]."""
+        return self._q.copy()
+
+    def track(self, command: Floats) -> None:
+        """Advance one period towards commanded joint positions [7] [rad]."""
+        self._q = command + self._keep * (self._q - command)
+
+    def follow(self, command: Floats, points: int) -> Floats:
+        """Advance one period of the commands.
+
+        Args:
+            command: Commanded joint positions [7] [rad].
+            points: Number of places to return.
+
+        Returns:
+            Places of the fingertip along the normal, at the ends of as many equal parts of the
+            period [mm] from the start.
+        """
+        self.track(command)
+        place_mm = 1e3 * float((flange_place(self._q) - self._start) @ self._normal)
+        way = np.linspace(self._last_mm, place_mm, points + 1)[1:]
+        self._last_mm = place_mm
+        return way

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
+from mixtac_sim.arm import JointTrajectoryController, Trajectory
 
 RATE_HZ = 1000.0
 
@@ -48,7 +48,7 @@ def test_segments_are_the_splines_that_the_fields_determine(order: int) -> None:
 
 FRESH = """
 import numpy as np
-from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory, interpolate, warm_up
+from mixtac_sim.arm import JointTrajectoryController, Trajectory, interpolate, warm_up
 warm_up()
 compiled = interpolate.signatures
 rest = np.zeros((2, 7))
