@@ -43,15 +43,14 @@ WITHOUT_KEY = {
     'lz4': 'requirements/base.txt',
     'safetensors': 'requirements/base.txt',
     'threadpoolctl': 'requirements/cli.txt',
-    'dask': 'requirements/cluster.txt',
+    'ruckig': 'requirements/base.txt',
     'h5py': 'requirements/hdf5.txt',
     'rerun': 'requirements/view.txt',
     'rerun_cli': 'requirements/view.txt',
-    'pylibfranka': '',
 }
-"""Modules without a key, and the file that pip installs them from; empty for the robot's own."""
-OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite', 'mujoco'}
-"""Used where present (cv_bridge, hdf5plugin, Python 3.14, mujoco), or a part of another (numba)."""
+"""Modules without a key, and the file that pip installs them from."""
+OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
+"""Used where present (cv_bridge, hdf5plugin, Python 3.14), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:

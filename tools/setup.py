@@ -29,7 +29,7 @@ from pathlib import Path
 from setup_checks import check_place, check_python, check_system, full_ros
 from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
 
-EXTRAS = ('learn', 'dev', 'view', 'mujoco', 'hdf5')
+EXTRAS = ('learn', 'dev', 'view', 'hdf5')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
@@ -326,7 +326,7 @@ def main() -> int:
         default=[],
         choices=EXTRAS,
         help='an optional part: learn is PyTorch for training and experiments, dev what tests and '
-        'checks need, view the live view in a browser, mujoco an FR3 for slip control, hdf5 '
+        'checks need, view the live view in a browser, hdf5 '
         'reading and writing of HDF5 files',
     )
     parser.add_argument(
