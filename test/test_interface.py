@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Every name that users rely on is still there: `interface.json` lists those of version 0.1.0.
+"""Every name that users rely on is still there: `interface.json` lists them.
 
-Names may be added. A name that goes belongs in `RETIRED` with the reason, and in CHANGELOG.md.
+Names may be added. A name that goes is taken out, and CHANGELOG.md tells what to use instead.
 """
 
 from __future__ import annotations
@@ -21,15 +21,6 @@ from mixtac_node.topics import SERVICES, TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
 INTERFACE = json.loads((ROOT / 'test' / 'interface.json').read_text())
-RETIRED: dict[str, str] = {
-    'imu': 'a topic without orientation is imu/data_raw by REP 145',
-    'alignment/reference': 'reference/wrench, a topic of the sensor rather than of a node',
-}
-"""Retired name and the reason."""
-
-
-def kept(names) -> set[str]:
-    return set(names) - set(RETIRED)
 
 
 def options_of(command) -> set[str]:
@@ -42,29 +33,29 @@ def options_of(command) -> set[str]:
 
 
 def test_every_command_is_there(commands):
-    assert kept(INTERFACE['commands']) <= set(commands)
+    assert set(INTERFACE['commands']) <= set(commands)
 
 
 @pytest.mark.parametrize('name', INTERFACE['commands'])
 def test_every_option_of_a_command_is_there(commands, name):
-    assert kept(INTERFACE['commands'][name]) <= options_of(commands[name])
+    assert set(INTERFACE['commands'][name]) <= options_of(commands[name])
 
 
 def test_topics_and_services_keep_names_and_types():
     for wanted, there in (('topics', TOPICS), ('services', SERVICES)):
         names = {(each.name, each.type_name) for each in there}
-        assert {tuple(each) for each in INTERFACE[wanted] if each[0] not in RETIRED} <= names
+        assert {tuple(each) for each in INTERFACE[wanted]} <= names
 
 
 @pytest.mark.parametrize('node', INTERFACE['parameters'])
 def test_every_parameter_of_a_node_is_there(node):
     schema = runpy.run_path(str(ROOT / 'tools' / 'write_reference.py'))['SCHEMAS'][node]
-    assert kept(INTERFACE['parameters'][node]) <= {spec.name for spec in specs(schema)}
+    assert set(INTERFACE['parameters'][node]) <= {spec.name for spec in specs(schema)}
 
 
 @pytest.mark.parametrize('file', INTERFACE['launch_arguments'])
 def test_every_launch_argument_is_there(launch_arguments, file):
-    wanted = kept(INTERFACE['launch_arguments'][file])
+    wanted = set(INTERFACE['launch_arguments'][file])
     assert wanted <= set(launch_arguments(ROOT / 'launch' / file))
 
 
@@ -74,9 +65,4 @@ def test_every_executable_is_there():
         for path in ROOT.glob('src/*/setup.py')
         for name in re.findall(r"'(\w+) = [\w.]+:main'", path.read_text())
     }
-    assert kept(INTERFACE['executables']) <= found
-
-
-def test_what_was_retired_is_in_the_changelog():
-    text = (ROOT / 'CHANGELOG.md').read_text()
-    assert [name for name in RETIRED if name not in text] == []
+    assert set(INTERFACE['executables']) <= found

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import json as json_format
 import math
@@ -201,12 +202,12 @@ def check_ros(environment: Mapping[str, str]) -> Finding:
         environment: Variables of the process.
     """
     try:
-        import rclpy  # noqa: F401
-        from rclpy.utilities import get_rmw_implementation_identifier
+        utilities = importlib.import_module('rclpy.utilities')
     except ImportError as error:
         remedy = 'source ROS 2, or run this from a checkout as ./mixtac, which brings it'
         return Finding('ROS 2', Level.WARN, f'rclpy cannot be imported: {error}', remedy)
-    named, rmw = environment.get('ROS_DISTRO', 'wheels'), get_rmw_implementation_identifier()
+    named = environment.get('ROS_DISTRO', 'wheels')
+    rmw = utilities.get_rmw_implementation_identifier()
     return ok('ROS 2', f'{named}, {rmw}', distribution=named, rmw=rmw)
 
 

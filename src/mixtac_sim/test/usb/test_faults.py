@@ -94,11 +94,9 @@ def test_unplugged_camera_is_gone_and_comes_back_as_after_power_up(camera):
 @pytest.mark.parametrize(
     'values',
     [
-        {'kind': FaultKind.NOISE, 'amount': -5.0},
-        {'kind': FaultKind.BLUR, 'amount': float('nan')},
-        {'kind': FaultKind.EDGES, 'amount': 1e9},
-        {'kind': FaultKind.FLASH, 'seconds': float('inf')},
-        {'kind': FaultKind.HEAT, 'amount': float('nan')},
+        {'kind': FaultKind.STALL_DATA, 'count': -5},
+        {'kind': FaultKind.DELAY_CONTROL, 'delay': float('nan')},
+        {'kind': FaultKind.FREEZE, 'seconds': float('inf')},
         {'kind': FaultKind.GARBAGE_WORDS, 'size': -4},
         {'kind': FaultKind.DROP_BYTES, 'seed': -1},
         {'kind': FaultKind.UNPLUG, 'serial': 'V' * 9},
