@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
-from mixtac_node.base_node import CLOCK, QOS_FORCE, BaseNode, answering, declare, run
+from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
 from mixtac_sim.live.simulation_process import SimulationProcess
@@ -82,7 +82,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
         )
         clock = self._settings.publish_clock
-        self._time = self.create_publisher(Clock, CLOCK, 10) if clock else None
+        self._time = self.create_publisher(Clock, '/clock', 10) if clock else None
         self._sensor.start()
         # The first step compiles: a driver that came before would miss the data.
         self._server = UsbServer(self._sensor.device, path)

@@ -3,7 +3,7 @@
 """Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
 
 The loop is faster than real time and reproducible. `TRANSPORT_S` holds the delays that the real
-chain adds between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` returns the
+chain adds between the parts. `best_arrest` returns the
 lower bound that no controller can beat: the same grasp and knock with the best motion of the arm.
 """
 
