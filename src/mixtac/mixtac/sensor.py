@@ -41,10 +41,8 @@ from mixtac_node.files import state_file
 from mixtac_node.parameters import build
 from mixtac_node.process import compiling
 from mixtac_recordings.messages import left_aligned
-from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
-    from mixtac.recorder import Recorder
     from mixtac.virtual import VirtualProcess
     from mixtac_driver.camera import CameraBatch
     from mixtac_driver.source import Source
@@ -108,12 +106,11 @@ class _Run:
         settings: FgerParameters,
         driver: DriverSettings,
         source: Source,
-        recorder: Recorder | None,
         forces: Latest[Reading],
         pictures: Latest[Picture],
     ) -> None:
         self._feed, self._settings, self._driver = feed, settings, driver
-        self._source, self._recorder = source, recorder
+        self._source = source
         self._forces, self._pictures = forces, pictures
         self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
         self._shown: EncodedFrame | None = None
@@ -182,9 +179,6 @@ class _Run:
         readings = [self._reading(estimate) for estimate in estimates]
         if readings:
             self._forces.put(readings[-1])
-        if self._recorder is not None:
-            forces = [reading.force for reading in readings]
-            self._recorder.write(batch, events, estimates, forces)
 
     def _take_frame(self, frame: Frame, origin_us: int) -> None:
         image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
@@ -238,7 +232,6 @@ class Sensor:
             `usb` for the camera that is attached, `usb:SERIAL` for one of several, a device
             string of the driver, or the path of a recording.
         model: Weight file, or name of a shipped model; empty for that of `fger`.
-        record: Folder of a new bag, as `mixtac record` writes it; None to record nothing.
         driver: Settings of the camera and of playback.
         fger: Settings of the estimator.
 
@@ -254,12 +247,10 @@ class Sensor:
         source: Path | str = USB,
         *,
         model: str = '',
-        record: Path | str | None = None,
         driver: DriverParameters | None = None,
         fger: FgerParameters | None = None,
     ) -> None:
         self.source = str(source)
-        self._record = None if record is None else Path(record)
         self._driver = build(DriverParameters, asdict(driver) if driver else {})
         self._fger = build(FgerParameters, asdict(fger) if fger else {})
         if model:
@@ -310,11 +301,7 @@ class Sensor:
                 raise
 
     def close(self) -> None:
-        """Stop, and finish the recording; harmless on a closed sensor.
-
-        Raises:
-            RecordingError: The bag could not be finished.
-        """
+        """Stop; harmless on a closed sensor."""
         with self._lock:
             self._run = None
             self._clean_up()
@@ -344,8 +331,6 @@ class Sensor:
             run.tare()
 
     def _start(self) -> _Run:
-        if self._record is not None and self._record.exists():
-            raise RecordingError(f'{self._record} exists', remedy='record to a new folder')
         path = find_model(self._fger.model)
         model = read_model(path)
         for kernels, run_once in (
@@ -378,14 +363,7 @@ class Sensor:
         options = settings.estimator_options()
         feed = ForceEstimator(estimator, background_frames=True, **options)
         self._closing.append(feed.close)
-        recorder = None
-        if self._record is not None:
-            # Needs the message definitions of the workspace.
-            from mixtac.recorder import Recorder
-
-            recorder = Recorder(self._record, identity, source)
-            self._closing.append(recorder.close)
-        run = _Run(feed, settings, driver, source, recorder, self._forces, self.pictures)
+        run = _Run(feed, settings, driver, source, self._forces, self.pictures)
         self._closing.append(run.supervisor.stop)
         run.supervisor.start()
         return run

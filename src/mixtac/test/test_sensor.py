@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual sensor read and recorded without ROS, and its recording read again."""
+"""A virtual sensor and a recording read without ROS."""
 
 from __future__ import annotations
 
@@ -25,17 +25,16 @@ from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters
 from mixtac_node.parameters import ParameterError
-from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import RecordingError
+from mixtac_sim.bags.trial_bag import write_trial
+from mixtac_sim.world.datasets import plan_profile
 
 
 @pytest.fixture(scope='module')
-def recorded(tmp_path_factory) -> SimpleNamespace:
-    """Return what a virtual sensor gave, and the bag of it."""
-    bag = tmp_path_factory.mktemp('sensor') / 'bag'
-    with Sensor('virtual', record=bag) as sensor:
+def seen() -> SimpleNamespace:
+    """Return what a virtual sensor gave."""
+    with Sensor('virtual') as sensor:
         found = SimpleNamespace(
-            bag=bag,
             sensor=sensor,
             first=sensor.read(),
             second=sensor.read(),
@@ -45,24 +44,22 @@ def recorded(tmp_path_factory) -> SimpleNamespace:
         )
         with pytest.raises(SensorError):
             sensor.open()
-        for _ in range(20):
-            sensor.pictures.read()
     return found
 
 
 @pytest.mark.live
-def test_forces_come_one_after_another_and_can_be_trusted(recorded):
-    first, second = recorded.first, recorded.second
+def test_forces_come_one_after_another_and_can_be_trusted(seen):
+    first, second = seen.first, seen.second
     assert isinstance(first, Reading)
-    assert first.stamp_us < second.stamp_us <= recorded.latest.stamp_us
+    assert first.stamp_us < second.stamp_us <= seen.latest.stamp_us
     assert first.valid
     assert abs(first.force) < 0.05
-    assert recorded.serial
+    assert seen.serial
 
 
 @pytest.mark.live
-def test_pictures_have_the_frame_and_its_difference_to_no_contact(recorded):
-    picture = recorded.picture
+def test_pictures_have_the_frame_and_its_difference_to_no_contact(seen):
+    picture = seen.picture
     assert picture.image.shape == (260, 346)
     assert picture.image.dtype == np.uint16
     assert picture.difference.dtype == np.float32
@@ -70,30 +67,19 @@ def test_pictures_have_the_frame_and_its_difference_to_no_contact(recorded):
 
 
 @pytest.mark.live
-def test_a_closed_sensor_cannot_be_read(recorded):
-    assert not recorded.sensor.is_open
-    for read in (recorded.sensor.read, recorded.sensor.read_latest, recorded.sensor.tare):
+def test_a_closed_sensor_cannot_be_read(seen):
+    assert not seen.sensor.is_open
+    for read in (seen.sensor.read, seen.sensor.read_latest, seen.sensor.tare):
         with pytest.raises(NotOpenError):
             read()
-    recorded.sensor.close()
+    seen.sensor.close()
 
 
 @pytest.mark.live
-def test_the_recording_is_that_of_the_graph(recorded):
-    with BagFile(recorded.bag) as bag:
-        counts = bag.counts
-        _, forces = bag.wrenches('/mixtac/force')
-    assert counts['/mixtac/events'] > 500
-    assert counts['/mixtac/image_raw'] == counts['/mixtac/camera_info'] > 20
-    assert counts['/mixtac/force_quality'] == len(forces) > 100
-    assert counts['/mixtac/camera_clock'] > 0
-    with pytest.raises(RecordingError):
-        Sensor('virtual', record=recorded.bag).open()
-
-
-@pytest.mark.live
-def test_a_recording_is_a_sensor_until_it_ends(recorded):
-    with Sensor(str(recorded.bag)) as sensor:
+def test_a_recording_is_a_sensor_until_it_ends(tmp_path):
+    spec = plan_profile('idle', 1, 3.0, preset='easy')[0]
+    write_trial(spec, tmp_path)
+    with Sensor(str(tmp_path / spec.name)) as sensor:
         assert sensor.read().valid
         ended = None
         while ended is None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -185,7 +185,8 @@ def find_board(image: Grey, board: Board, label: str = '') -> View | None:
         if found:
             # Pixel centres are whole numbers at every scale.
             corners = (np.asarray(seen, np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
-            return View(board, _refined(grey, corners, board), *grey.shape[::-1], label)
+            rows, columns = grey.shape
+            return View(board, _refined(grey, corners, board), columns, rows, label)
     return None
 
 
@@ -429,7 +430,7 @@ def _fit_brown(
     views: Sequence[View], size: tuple[int, int], model: str
 ) -> tuple[Floats, Floats, Floats, Floats]:
     count = len(MODELS[model])
-    _, matrix, distortion, _, _, deviations, _, errors = cv2.calibrateCameraExtended(
+    found: Any = cv2.calibrateCameraExtended(
         [view.board.points().astype(np.float32) for view in views],
         [view.corners.astype(np.float32) for view in views],
         size,
@@ -438,9 +439,9 @@ def _fit_brown(
         flags=cv2.CALIB_RATIONAL_MODEL if model == RATIONAL else 0,
         criteria=STOP,
     )
+    _, matrix, distortion, _, _, deviations, _, errors = found
     # OpenCV appends zeros for models that were not requested.
-    found = (matrix, distortion.ravel()[:count], deviations.ravel()[: 4 + count], errors.ravel())
-    return found[0], found[1], found[2], found[3]
+    return matrix, distortion.ravel()[:count], deviations.ravel()[: 4 + count], errors.ravel()
 
 
 def _fit_fisheye(
@@ -449,7 +450,7 @@ def _fit_fisheye(
     # OpenCV 4 keeps these flags in its fisheye module, with other values.
     recompute = getattr(cv2.fisheye, 'CALIB_RECOMPUTE_EXTRINSIC', cv2.CALIB_RECOMPUTE_EXTRINSIC)
     fix_skew = getattr(cv2.fisheye, 'CALIB_FIX_SKEW', cv2.CALIB_FIX_SKEW)
-    _, matrix, distortion, turns, places = cv2.fisheye.calibrate(
+    found: Any = cv2.fisheye.calibrate(
         [view.board.points()[None] for view in views],
         [view.corners[None] for view in views],
         size,
@@ -458,6 +459,7 @@ def _fit_fisheye(
         flags=recompute | fix_skew,
         criteria=STOP,
     )
+    _, matrix, distortion, turns, places = found
     # cv2.fisheye reports no deviations: those of the lens with the poses eliminated (Schur).
     information, residuals = np.zeros((8, 8)), []
     for view, turn, place in zip(views, turns, places, strict=True):

@@ -111,7 +111,7 @@ class CameraCalibration:
         import cv2  # slow to import; a driver without a calibration starts without it
 
         lens = (self.camera_matrix, self.distortion)
-        rectified = {'R': self.rectification, 'P': self.projection}
+        rectified: dict[str, Any] = {'R': self.rectification, 'P': self.projection}
         given = np.asarray(points, np.float64)[:, None]
         if self.model == EQUIDISTANT:
             return np.asarray(cv2.fisheye.undistortPoints(given, *lens, **rectified)[:, 0])
@@ -256,7 +256,7 @@ def _matrix(
     left: Floats | None = None,
 ) -> NDArray[np.float64]:
     """Return a matrix of a file, or `default` with `left` in its first columns."""
-    block = document.get(key)
+    block: Any = document.get(key)
     if block is None and default is not None:
         return default if left is None else np.hstack([left, default[:, left.shape[1] :]])
     try:

@@ -86,6 +86,10 @@ class BaseNode:
         options: Further arguments of rclpy's node class.
     """
 
+    create_publisher: Any
+    create_lifecycle_publisher: Any
+    create_subscription: Any
+
     def __init__(
         self,
         name: str,

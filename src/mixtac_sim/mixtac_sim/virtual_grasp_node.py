@@ -4,8 +4,8 @@
 
 The camera hands everything over about 20 ms after it was simulated, because a frame must be known
 before its readout begins; so the arm's answer reaches the object that much later than on a bench.
-`mixtac experiments slip` has no such delay. Where the host cannot keep up, simulated time goes slower
-than the host's; with `publish_clock`, nodes that take their time from `/clock` slow down with it.
+`mixtac experiments slip` has none. Where the host cannot keep up, simulated time goes slower
+than the host's; with `publish_clock`, nodes that take their time from `/clock` slow down too.
 """
 
 from __future__ import annotations

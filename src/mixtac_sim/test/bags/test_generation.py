@@ -144,7 +144,6 @@ def test_a_bag_that_cannot_be_written_is_named(tmp_path):
     assert str(tmp_path / spec.name) in str(failure.value)
 
 
-
 def test_a_killed_worker_is_an_expected_failure(tmp_path, monkeypatch):
     def killed(*_args, **_kwargs):
         raise generation.TerminatedWorkerError('gone')
