@@ -69,23 +69,27 @@ class Peer:
         stamp = heard[0].header.stamp
         assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(7.0))) < 2000.0
 
-    def play(
-        self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray, pause_s: float
-    ) -> None:
+    def play(self, case: Any, pause_s: float) -> None:
         """Publish packets and force samples side by side."""
+        t_us, force_s, force = case.recording()
+        acting_s = (t_us - case.camera_start_us) * 1e-6 - case.latency_s
+        rising = case.force(acting_s + 5e-5) > case.force(acting_s - 5e-5)
         borders = np.arange(t_us[0], t_us[-1] + PACKET_US, PACKET_US)
         cuts = np.searchsorted(t_us, borders)
         shares = np.linspace(0, len(force_s), len(borders)).astype(int)
         for i in range(len(borders) - 1):
-            self._send_packet(i, t_us[cuts[i] : cuts[i + 1]], int(borders[i + 1]))
+            part = slice(cuts[i], cuts[i + 1])
+            self._send_packet(i, t_us[part], rising[part], int(borders[i + 1]))
             for k in range(shares[i], shares[i + 1]):
                 self._send_force(float(force_s[k]), float(force[k]))
             time.sleep(pause_s)
 
-    def _send_packet(self, sequence: int, t_us: np.ndarray, until: int) -> None:
+    def _send_packet(self, sequence: int, t_us: np.ndarray, rising: np.ndarray, until: int) -> None:
         n = len(t_us)
         x, y = np.arange(n) % 346, np.arange(n) % 260
-        events = Events(t_us, x.astype(np.uint16), y.astype(np.uint16), np.ones(n, np.bool_))
+        # The left half brightens with the force, the right half darkens.
+        polarity = rising == (x < 173)
+        events = Events(t_us, x.astype(np.uint16), y.astype(np.uint16), polarity)
         packet = encode(events, complete_until=until)
         message = self._packet(
             width=346,
@@ -114,7 +118,7 @@ def test_the_node_fits_and_latches_the_clock_map(scene: Any, node_under_test: An
     assert 'no ' in refused.message
     case = scene(taps_s=(1.0, 5.5), seconds=6.5, presses=False, tap_s=0.02, rate_hz=400.0)
     for pause_s in PAUSES_S:
-        peer.play(*case.recording(), pause_s)
+        peer.play(case, pause_s)
         time.sleep(0.3)
         answer = peer.fit()
         if answer.success:

@@ -138,7 +138,7 @@ def stamp_of(t_us: int) -> Any:
     return Time(sec=t_us // 1_000_000, nanosec=t_us % 1_000_000 * 1000)
 
 
-def test_a_trial_with_frames_is_refined(node_under_test: Any) -> None:
+def test_a_trial_with_frames_is_aligned(node_under_test: Any) -> None:
     node_under_test.start('mixtac_alignment.alignment_node')
     peer = Peer(node_under_test)
     trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,6 +27,8 @@ from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from mixtac_driver.calibration import Solution, ViewSelection
+
+Images = Generator[tuple[str, Any], None, None]
 
 IMAGE_TIMEOUT_S = 20.0
 """Longest time without an image [s]."""
@@ -106,6 +108,9 @@ def calibrate(
                 break
     except KeyboardInterrupt:
         console.print('calibrating with the views collected so far')
+    finally:
+        # Ends the nodes that it started.
+        images.close()
     console.print(f'board found in {found} of {seen} images')
     solution = solve(selection.views, model=model, name=name, alpha=alpha)
     print_solution(console, solution)
@@ -117,7 +122,7 @@ def calibrate(
     write_json(json, _summary(solution, seen, found))
 
 
-def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, Any]]:
+def bag_images(path: Path, topic: str, rate_hz: float) -> Images:
     """Yield label and grey levels of the images of a bag.
 
     Args:
@@ -142,7 +147,7 @@ def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, An
             yield labelled(message)
 
 
-def live_images(topic: str, device: str) -> Iterator[tuple[str, Any]]:
+def live_images(topic: str, device: str) -> Images:
     """Yield label and grey levels of live images; ends the nodes that it started.
 
     Args:

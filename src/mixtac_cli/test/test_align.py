@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
-from mixtac_alignment.bags import read_fit, read_recording, rewrite_bag, sensor_of
+from mixtac_alignment.bags import read_fit, read_recording, rewrite_bag
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.align import align_bag
@@ -31,7 +31,7 @@ from mixtac_recordings.stream_writer import StreamWriter
 if TYPE_CHECKING:
     from pathlib import Path
 
-START_US, REFERENCE_S, LATENCY_S = 1_700_000_000_000_000, 1_690_000_123.25, 4.15e-3
+START_US, REFERENCE_S, LATENCY_S = 1_700_000_000_000_000, 1_690_000_123.25, 2.4e-3
 TAPS_S = (1.0, 7.0)
 RATE = 1.0 + 50e-6
 
@@ -51,6 +51,13 @@ def events_us(rng: np.random.Generator) -> np.ndarray:
     return START_US + np.sort(np.rint(times * 1e6)).astype(np.int64)
 
 
+def polarity_of(t_us: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the polarity of a left half that brightens with the force and a right one that darkens."""
+    t = (t_us - START_US) * 1e-6 - LATENCY_S
+    slope = force_at(t + 5e-5) - force_at(t - 5e-5)
+    return np.where(slope == 0.0, rng.random(len(t)) < 0.5, (slope > 0.0) == (x < 150))
+
+
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the bag."""
@@ -64,7 +71,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for k in range(len(borders) - 1):
             t = times[cuts[k] : cuts[k + 1]]
             x = (np.arange(len(t)) % 300).astype(np.uint16)
-            events = Events(t, x, x // 2, np.ones(len(t), np.bool_))
+            events = Events(t, x, x // 2, polarity_of(t, x, rng))
             writer.events(events, int(borders[k + 1]), 1_000_000_000 + 10_000_000 * k)
         for k, t_s in enumerate(np.arange(0.0, 8.0, 1.0 / 800.0)):
             values = np.zeros(6)
@@ -113,7 +120,7 @@ def test_bags_of_one_name_have_figures_and_copies_of_their_own(bag: Path, tmp_pa
         shutil.copytree(bag, tmp_path / 'data' / folder / bag.name)
     table, names = tmp_path / 'table.json', {'static_trial', 'dynamic_trial'}
     copies, figures = tmp_path / 'copies', tmp_path / 'figures'
-    words = ['--no-pool', '--rewrite', str(copies), '--figure', str(figures), '--json', str(table)]
+    words = ['--rewrite', str(copies), '--figure', str(figures), '--json', str(table)]
     assert main(['align', *words, str(tmp_path / 'data')]) == 0
     assert {each['bag'] for each in json.loads(table.read_text())} == names
     assert {each.name for each in copies.iterdir()} == names
@@ -199,10 +206,3 @@ def test_edges_of_a_trigger_line_serve_in_place_of_taps(edges_bag: Path, bag: Pa
     refused = align_bag(bag, method='edges')
     assert refused.fit is None
     assert 'external_edges' in refused.reason
-
-
-def test_the_sensor_of_a_bag_stands_in_the_data_set(tmp_path: Path) -> None:
-    assert sensor_of(tmp_path / 'a') is None
-    text = 'trials: [{name: a, device_seed: 7}, {name: b, serial: x1}, {name: c, serial: ""}]'
-    (tmp_path / 'dataset.yaml').write_text(text)
-    assert [sensor_of(tmp_path / name) for name in 'abcd'] == ['7', 'x1', None, None]

@@ -14,7 +14,6 @@ from mixtac_cli.demo.evaluation import (
     Comparison,
     Streams,
     compare,
-    frame_jump,
     host_time,
     peak_error,
     read_streams,
@@ -81,14 +80,8 @@ def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
     )
 
 
-def test_the_jump_at_frames_is_relative_to_the_change_between_them():
-    # Steps of 0.1 N, and of 0.3 N where the age of the frame falls.
-    streams = streams_of([0.0, 0.1, 0.2, 0.5, 0.6, 0.9], [4, 6, 8, 2, 4, 1])
-    assert frame_jump(streams) == pytest.approx(3.0)
 
 
-def test_no_jump_is_known_without_frames():
-    assert frame_jump(streams_of([0.0, 0.1, 0.2], [4, 6, 8])) is None
 
 
 def test_host_times_follow_the_arrival_of_packets_when_time_stopped():

@@ -187,11 +187,10 @@ def test_ros_is_named():
 
 
 def test_ros_that_cannot_be_imported(monkeypatch):
-    monkeypatch.setattr(doctor, 'PROBE', 'import no_such_module_at_all')
+    monkeypatch.setitem(sys.modules, 'rclpy.utilities', None)
     finding = doctor.check_ros(os.environ)
-    assert finding.level is Level.ERROR
-    assert 'no_such_module_at_all' in finding.found
-    assert sys.executable not in finding.remedy
+    assert finding.level is Level.WARN
+    assert finding.remedy
 
 
 def test_the_model_is_loaded(monkeypatch, tmp_path):

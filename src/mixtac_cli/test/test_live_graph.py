@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -73,19 +71,6 @@ def test_force_stamps_are_two_milliseconds_apart_and_finite(graph: Monitor):
     _, stamps, force = graph.force()
     assert set((stamps[1:] - stamps[:-1]).tolist()) == {2_000_000}
     assert all(math.isfinite(each) for each in force)
-
-
-def test_a_second_graph_is_refused_and_leaves_the_first_alone(graph: Monitor):
-    command = [sys.executable, '-m', 'mixtac_cli', 'up', '--device', 'virtual']
-    second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert second.returncode == 1
-    assert second.stderr.startswith('error: /mixtac/')
-    assert 'Traceback' not in second.stderr
-    before = graph.force_count
-    deadline = time.monotonic() + 10
-    while graph.force_count < before + 250 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert graph.force_count >= before + 250
 
 
 def test_no_contact_reads_near_zero(graph: Monitor):

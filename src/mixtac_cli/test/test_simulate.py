@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 from mixtac_cli.simulate import APART_S, draw_preview, event_picture, find_moments, simulate
 from mixtac_events.arrays import Events
 from mixtac_recordings.dataset import DatasetDescription, TrialSpec
-from mixtac_recordings.recording import RecordingError
 from mixtac_sim import SimulationError
 
 app = typer.Typer()
@@ -63,7 +62,6 @@ def test_wrong_usage_is_refused(words):
         (('--profile', 'dance', '--out', 'x'), SimulationError),
         (('--dataset', 'dance', '--out', 'x'), SimulationError),
         (('--profile', 'idle', '--preset', 'dance', '--out', 'x'), SimulationError),
-        (('--profile', 'idle', '--backend', 'ray', '--jobs', 2), RecordingError),
     ],
 )
 def test_what_does_not_exist_is_an_expected_failure(words, kind, tmp_path):

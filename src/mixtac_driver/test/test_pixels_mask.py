@@ -80,13 +80,10 @@ def test_no_path_is_no_mask():
     assert load_mask('').pixels == ()
 
 
-def test_a_mask_is_a_file_of_at_most_four_megapixels(tmp_path):
-    import cv2
-
-    pipe, large = str(tmp_path / 'pipe.png'), str(tmp_path / 'large.png')
-    cv2.imwrite(large, np.zeros((1000, 5000), np.uint8))
+def test_a_mask_is_a_file(tmp_path):
+    pipe = str(tmp_path / 'pipe.png')
     os.mkfifo(pipe)
-    for path in (large, pipe, str(tmp_path), f'{tmp_path}\0'):
+    for path in (pipe, str(tmp_path), f'{tmp_path}\0'):
         with pytest.raises(ConfigurationError):
             load_mask(path)
 

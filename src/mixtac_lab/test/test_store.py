@@ -127,7 +127,7 @@ def test_version_of_files_changes_with_their_size(tmp_path):
 
 def test_other_settings_of_a_trial_are_another_piece():
     settings = SlipControlParameters()
-    other = dataclasses.replace(settings, arm_lag=5e-3)
+    other = dataclasses.replace(settings, law='paper')
     plans = [TrialPlan(), TrialPlan(preset='easy'), TrialPlan(settings=other)]
     assert len({trial_piece(plan).stem for plan in plans}) == 3
     assert trial_piece(TrialPlan()).stem == trial_piece(TrialPlan(settings=settings)).stem

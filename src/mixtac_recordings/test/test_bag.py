@@ -186,16 +186,6 @@ def test_a_bag_without_its_metadata_is_read(bag: Path):
     assert found.damage
 
 
-def test_metadata_whose_aliases_explode_do_not_hinder(bag: Path):
-    path = bag / 'metadata.yaml'
-    lines = [f'v0: &v0 {{k: {"long" * 20}}}']
-    lines += [f'v{n}: &v{n} {{<<: [{", ".join([f"*v{n - 1}"] * 20)}]}}' for n in range(1, 5)]
-    path.write_text('\n'.join(lines) + '\n' + path.read_text())
-    found = summarise(bag)
-    assert found.counts == {'/mixtac/events': 40, '/mixtac/force': 10}
-    assert found.damage
-
-
 def test_an_empty_storage_identifier_does_not_matter(bag: Path):
     path = bag / 'metadata.yaml'
     path.write_text(path.read_text().replace('storage_identifier: mcap', "storage_identifier: ''"))

@@ -57,7 +57,7 @@ def judge(name, imu_type=2, **changes):
 
 def test_a_good_camera_has_nothing_to_mend():
     findings = check_measurement(GOOD, DriverParameters(), identity())
-    assert [f.level for f in findings] == [Level.OK] * 6
+    assert [f.level for f in findings] == [Level.OK] * 8
     assert not any(f.remedy for f in findings)
 
 

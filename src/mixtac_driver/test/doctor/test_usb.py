@@ -54,9 +54,7 @@ def camera_of(files):
 
 def test_a_camera_is_read_from_the_kernels_files(tmp_path):
     camera = camera_of(plug_in(tmp_path))
-    assert camera == usb.AttachedCamera(
-        '2-1', '/dev/bus/usb/002/005', 5000.0, 0x0006, '00000123', 'on'
-    )
+    assert camera == usb.AttachedCamera('2-1', '/dev/bus/usb/002/005', 5000.0, 0x0006, '00000123')
 
 
 def test_what_is_no_camera_is_passed_over(tmp_path):
@@ -117,11 +115,6 @@ def test_firmware(tmp_path, release, level):
     finding = usb.check_release(camera_of(plug_in(tmp_path, bcdDevice=release)))
     assert finding.level is level
     assert bool(finding.remedy) == (level > Level.OK)
-
-
-def test_power_management(tmp_path):
-    finding = usb.check_power(camera_of(plug_in(tmp_path, **{'power/control': 'auto'})))
-    assert (finding.level, finding.values) == (Level.OK, {'control': 'auto'})
 
 
 class Forbidden(HostFiles):

@@ -15,14 +15,12 @@ pytest.importorskip('mixtac_sim.usb.server')
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_msgs.srv import SelfTest
 from event_camera_msgs.msg import EventPacket
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_driver.calibration.camera_info import write_camera_info
-from mixtac_driver.calibration.lens import CameraCalibration
+from mixtac_driver.camera_info import CameraCalibration, write_camera_info
 from mixtac_driver.node.driver_node import DriverNode
 from mixtac_events.codec import decode_message
 from mixtac_events.packets import read_packet
@@ -198,9 +196,6 @@ def test_a_snapshot_its_exposure_and_edges(camera, graph):
     answer = graph.call(Trigger, '/mixtac/driver/find_hot_pixels')
     assert answer.success, answer.message
     assert '0 masked' in answer.message
-    answer = graph.call(SelfTest, '/mixtac/driver/self_test')
-    assert answer.id == camera.scene.device.serial
-    assert len(answer.status) == 7
 
 
 def test_time_goes_on_over_resets_asked_for_and_not(camera, graph):

@@ -5,9 +5,6 @@
 from __future__ import annotations
 
 import logging
-import queue
-import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,14 +16,12 @@ from davis_fake import FakeBackend, FakeCamera
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
-from mixtac_driver.calibration.camera_info import write_camera_info
-from mixtac_driver.calibration.lens import CameraCalibration
 from mixtac_driver.camera import Davis346
+from mixtac_driver.camera_info import CameraCalibration, write_camera_info
 from mixtac_driver.node import publishers as edge_publisher
 from mixtac_driver.node.publishers import (
     EdgePublisher,
     EventPublisher,
-    FrameCompressor,
     FramePublisher,
     InertialPublisher,
     RectifiedPublisher,
@@ -38,7 +33,6 @@ from mixtac_events.codec import decode_message
 from mixtac_events.packets import read_packet
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
-from mixtac_node.images import decompress_grey
 from mixtac_node.stamps import stamp_to_us
 from mixtac_recordings import messages
 
@@ -155,77 +149,6 @@ def test_frames_are_made_only_for_those_who_listen(node, identity, monkeypatch, 
     assert all(stamp_to_us(header.stamp) == ORIGIN_US + 15 for header in headers)
 
 
-@pytest.mark.parametrize('kind', ['jpeg', 'png'])
-def test_frames_are_compressed_in_their_thread(node, identity, kind):
-    publisher = FrameCompressor(node, DriverParameters(compressed_frames=kind), DriverMeters())
-    image = np.random.default_rng(0).integers(0, 1024, (260, 346)).astype(np.uint16)
-    frame = Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
-    publisher.publish(frame, ORIGIN_US, identity)
-    node.topics['image_raw/compressed'].listeners = 1
-    publisher.publish(frame, ORIGIN_US, identity)
-    publisher.close()
-    (message,) = node.topics['image_raw/compressed'].sent
-    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 15
-    seen = decompress_grey(message)
-    assert seen.shape == image.shape
-    if kind == 'png':
-        np.testing.assert_array_equal(seen, messages.left_aligned(image))
-
-
-def test_frames_that_cannot_be_compressed_in_time_are_dropped(node, identity, monkeypatch):
-    meters, gate = DriverMeters(), threading.Event()
-    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
-    topic = node.topics['image_raw/compressed']
-    topic.listeners = 1
-    monkeypatch.setattr(
-        topic, 'publish', lambda message: gate.wait() and topic.sent.append(message)
-    )
-    image = np.zeros((260, 346), np.uint16)
-    for _ in range(10):
-        publisher.publish(
-            Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
-        )
-    gate.set()
-    publisher.close()
-    assert len(topic.sent) + meters.compressed_dropped == 10
-    assert meters.compressed_dropped >= 7
-
-
-def test_frames_that_cannot_be_published_are_told_and_later_ones_come(node, identity, monkeypatch):
-    told, meters = queue.Queue(), DriverMeters()
-    logger = SimpleNamespace(error=lambda text, **_options: told.put(text))
-    monkeypatch.setattr(node, 'get_logger', lambda: logger)
-    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
-    topic = node.topics['image_raw/compressed']
-    topic.listeners = 1
-    frame = Frame(np.zeros((260, 346), np.uint16), 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
-    with monkeypatch.context() as broken:
-        broken.setattr(topic, 'publish', lambda _message: 1 / 0)
-        publisher.publish(frame, ORIGIN_US, identity)
-        assert told.get(timeout=60)
-    publisher.publish(frame, ORIGIN_US, identity)
-    publisher.close()
-    assert len(topic.sent) == 1
-
-
-def test_a_compression_that_is_stuck_lets_the_driver_end(node, identity, monkeypatch):
-    monkeypatch.setattr(edge_publisher, 'LONGEST_CLOSE_S', 0.05)
-    meters, gate = DriverMeters(), threading.Event()
-    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
-    topic = node.topics['image_raw/compressed']
-    topic.listeners = 1
-    monkeypatch.setattr(topic, 'publish', lambda _message: gate.wait())
-    frame = Frame(np.zeros((260, 346), np.uint16), 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
-    while not meters.compressed_dropped:
-        publisher.publish(frame, ORIGIN_US, identity)
-    closing = threading.Thread(target=publisher.close)
-    closing.start()
-    closing.join(60)
-    ended = not closing.is_alive()
-    gate.set()
-    assert ended
-
-
 def test_packets_after_a_pause_begin_where_the_stream_is(node):
     meters = DriverMeters()
     publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, meters)
@@ -277,12 +200,12 @@ def rectified(node, tmp_path, **wanted):
 def test_undistorted_topics_exist_only_where_they_are_asked_for(node, tmp_path):
     rectified(node, tmp_path)
     assert set(node.topics) == set()
-    rectified(node, tmp_path, undistort_frames=True, undistort_events=True)
-    assert set(node.topics) == {'image_rect', 'events_rect'}
+    rectified(node, tmp_path, undistort_events=True)
+    assert set(node.topics) == {'events_rect'}
 
 
-def test_events_and_frames_come_at_undistorted_pixels(node, identity, tmp_path):
-    publisher = rectified(node, tmp_path, undistort_frames=True, undistort_events=True)
+def test_events_come_at_undistorted_pixels(node, tmp_path):
+    publisher = rectified(node, tmp_path, undistort_events=True)
     publisher.use((346, 260))
     for topic in node.topics.values():
         topic.listeners = 1
@@ -294,16 +217,6 @@ def test_events_and_frames_come_at_undistorted_pixels(node, identity, tmp_path):
     got = decode_message(read_packet(node.topics['events_rect'].sent[0])).events
     assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
     assert got.t[0] == ORIGIN_US
-    image = np.zeros((260, 346), np.uint16)
-    image[30, 20] = 1000
-    publisher.publish_frame(
-        Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
-    )
-    message = node.topics['image_rect'].sent[0]
-    pixels = np.frombuffer(message.data, np.uint16).reshape(260, 346)
-    assert np.unravel_index(pixels.argmax(), pixels.shape) == (35, 30)
-    assert message.encoding == 'mono16'
-    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 15
 
 
 def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, tmp_path):
@@ -322,55 +235,3 @@ def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, t
     request.camera_info.width = 640
     assert not save(request, response).success
     assert '640' in response.status_message
-
-
-class Listener(list):
-    """Keeps the packets that are handed over, while it listens."""
-
-    listening = True
-
-    def __len__(self):
-        return self.listening
-
-    hand_over = list.append
-
-
-def test_packets_within_the_process_hold_what_the_published_ones_do(node):
-    listener = Listener()
-    publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, listener=listener)
-    topic = node.topics['events']
-    assert publisher.wanted
-    rng = np.random.default_rng(0)
-    for start_us in range(ORIGIN_US, ORIGIN_US + 5000, 700):
-        t = np.sort(rng.integers(start_us, start_us + 700, 100))
-        x, y = (rng.integers(0, size, 100).astype(np.uint16) for size in (346, 260))
-        events = Events(t, x, y, rng.random(100) < 0.5)
-        publisher.publish(events, start_us + 700, 1000 * start_us, (346, 260))
-        topic.listeners = 1
-        # The memory of events is used again.
-        t[:] = x[:] = y[:] = 0
-    published = [read_packet(message) for message in topic.sent]
-    handed = list(listener)[-len(published) :]
-    assert len(published) > 3
-    for own, message in zip(handed, published, strict=True):
-        ours, theirs = decode_message(own), decode_message(message)
-        assert (own.seq, own.stamp_ns) == (message.seq, message.stamp_ns)
-        assert (own.width, own.height) == (message.width, message.height)
-        assert ours.complete_until == theirs.complete_until
-        order = [np.lexsort((e.polarity, e.y, e.x, e.t)) for e in (ours.events, theirs.events)]
-        for name in ('t', 'x', 'y', 'polarity'):
-            pair = (getattr(each.events, name) for each in (ours, theirs))
-            mine, other = (values[k] for values, k in zip(pair, order, strict=True))
-            np.testing.assert_array_equal(mine, other)
-
-
-def test_nothing_is_encoded_for_those_within_the_process_only(node, monkeypatch):
-    monkeypatch.setattr('mixtac_events.packetizer.encode', None)
-    listener = Listener()
-    publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, listener=listener)
-    one = np.array([1], np.uint16)
-    events = Events(np.array([ORIGIN_US + 5]), one, one, np.array([True]))
-    publisher.publish(events, ORIGIN_US + 2000, 0, (346, 260))
-    assert [each.content.events.t.tolist() for each in list(listener)] == [[ORIGIN_US + 5]]
-    listener.listening = False
-    assert not publisher.wanted

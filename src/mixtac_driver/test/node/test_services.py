@@ -13,20 +13,16 @@ import pytest
 
 pytest.importorskip('std_srvs.srv')
 
-import yaml
 from davis_fake import FakeBackend, FakeCamera
-from diagnostic_msgs.srv import SelfTest
 
-from mixtac_driver.camera import CameraBatch, Davis346
-from mixtac_driver.clock import Origin
+from mixtac_driver.camera import Davis346
 from mixtac_driver.node import services as driver_services
 from mixtac_driver.node.services import DriverServices, NextFrame
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.arrays import Events
-from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
-from mixtac_node.parameters import build
+from mixtac_events.readings import Frame
 
 pytestmark = pytest.mark.live
 SIZE = (346, 260)
@@ -41,9 +37,6 @@ class Node:
 
     def create_service(self, _kind, name, callback):
         self.services[name] = callback
-
-    def self_test(self):
-        return self.services['~/self_test'](None, SelfTest.Response())
 
     def call(self, name):
         return self.services[name](None, SimpleNamespace(success=None, message=None))
@@ -230,64 +223,3 @@ def test_frames_exposed_before_do_not_count():
     assert not waiting.done.is_set()
     waiting.add(frame(100), 900)
     assert (waiting.done.is_set(), waiting.stamp_us) == (True, 1005)
-
-
-def test_the_running_settings_are_written_as_a_parameter_file(rig, tmp_path):
-    rig.decode(lambda: None)
-    changed = replace(rig.settings.parameters, PrSFBp_fine=20, aps_exposure=1234)
-    rig.settings.apply(changed, rig.camera.apply)
-    answer = rig.node.call('~/save_parameters')
-    assert answer.success, answer.message
-    content = yaml.safe_load((tmp_path / 'driver.yaml').read_text())
-    values = content['/**/driver']['ros__parameters']
-    assert build(DriverParameters, values) == changed
-
-
-def test_settings_are_written_nowhere_else(rig):
-    rig.decode(lambda: None)
-    rig.settings.parameters = replace(rig.settings.parameters, saved_parameters='/none/p.yaml')
-    assert not rig.node.call('~/save_parameters').success
-
-
-def stream(rig, rate, size=SIZE):
-    """Hand on one millisecond with some events of random pixels."""
-    rng = np.random.default_rng(rig.time_us)
-    t = np.sort(rng.integers(rig.time_us, rig.time_us + 1000, rate))
-    x, y = (rng.integers(0, length, rate) for length in size)
-    e = Events(t, x.astype(np.uint16), y.astype(np.uint16), rng.random(rate) < 0.5)
-    decoded = DecodedBatch(e, (), NO_SAMPLES, NO_EDGES, rig.time_us + 1000, 1)
-    rig.services.watch_batch(CameraBatch(decoded, Origin(0, 0), (rig.time_us + 1000) * 1000))
-
-
-@pytest.mark.parametrize(('rate', 'good'), [(20, True), (900, False)])
-def test_the_self_test_judges_the_stream(rig, monkeypatch, rate, good):
-    monkeypatch.setattr(driver_services, 'SELF_TEST_S', 0.6)
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 20.0)
-    rig.camera.open()
-    rig.decode(lambda: stream(rig, rate))
-    answer = rig.node.self_test()
-    assert answer.id == '00000123'
-    assert answer.passed == (b'\1' if good else b'\0')
-    levels = {status.name: status.level for status in answer.status}
-    assert levels['noise rate'] == (b'\0' if good else b'\2')
-    assert {*levels.values()} <= {b'\0', b'\2'}
-    assert len(levels) == 7
-
-
-def test_the_self_test_counts_the_pixels_of_the_camera_that_is_open(rig, monkeypatch):
-    monkeypatch.setattr(driver_services, 'SELF_TEST_S', 0.6)
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 20.0)
-    geometry = SimpleNamespace(event_size=(640, 480))
-    identity = SimpleNamespace(serial='large', geometry=geometry)
-    monkeypatch.setattr(rig.camera, 'status', lambda: SimpleNamespace(identity=identity))
-    rig.decode(lambda: stream(rig, 20, (640, 480)))
-    answer = rig.node.self_test()
-    assert (answer.passed, answer.id) == (b'\1', 'large')
-
-
-def test_a_self_test_without_a_stream_fails(rig, monkeypatch):
-    monkeypatch.setattr(driver_services, 'SELF_TEST_S', 0.1)
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
-    rig.decode(lambda: None)
-    answer = rig.node.self_test()
-    assert (answer.passed, answer.id, len(answer.status)) == (b'\0', '', 1)
