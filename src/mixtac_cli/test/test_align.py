@@ -52,7 +52,7 @@ def events_us(rng: np.random.Generator) -> np.ndarray:
 
 
 def polarity_of(t_us: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the polarity of a left half that brightens with the force and a right one that darkens."""
+    """Return polarities: the left half brightens with the force, the right half darkens."""
     t = (t_us - START_US) * 1e-6 - LATENCY_S
     slope = force_at(t + 5e-5) - force_at(t - 5e-5)
     return np.where(slope == 0.0, rng.random(len(t)) < 0.5, (slope > 0.0) == (x < 150))

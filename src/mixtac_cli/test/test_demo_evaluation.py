@@ -80,10 +80,6 @@ def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
     )
 
 
-
-
-
-
 def test_host_times_follow_the_arrival_of_packets_when_time_stopped():
     streams = streams_of([0.0], [1], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90])
     found = host_time(streams, np.array([1_500_000, 2_000_000, 9_000_000]), None)
