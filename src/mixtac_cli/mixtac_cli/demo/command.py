@@ -121,6 +121,7 @@ def _run_graph(
         'play_on_start': False,
         'loop': False,
         'lead_seconds': LEAD_S,
+        'slow_host': 'wait',
     }
     # A blow saturates the sensor for an instant, and its peak is to be seen.
     estimator = {'invalid_force': 'publish'}
