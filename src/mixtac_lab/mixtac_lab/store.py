@@ -21,9 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import joblib
-from rich.console import Console
 
-from mixtac_cli.figures import progress_bar
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
 
@@ -153,13 +151,6 @@ class Store:
                 results[index] = result
                 advance()
         return [results[index] for index in range(len(pieces))]
-
-    def run_shown(
-        self, title: str, pieces: Sequence[Piece], console: Console, jobs: int = 1
-    ) -> list[dict[str, Any]]:
-        """Return the results of pieces as `run` does, with a progress bar of that title."""
-        with progress_bar(title, len(pieces), console) as advance:
-            return self.run(pieces, jobs, advance)
 
 
 def _compute(index: int, piece: Piece, folder: Path) -> tuple[int, dict[str, Any]]:

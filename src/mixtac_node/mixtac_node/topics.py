@@ -117,19 +117,12 @@ CAMERA_INFO = Topic(
     'sensor_msgs/msg/CameraInfo',
     description='Calibration of the lens, with the stamp of its frame.',
 )
-IMAGE_RECT = Topic(
-    'image_rect',
-    'sensor_msgs/msg/Image',
-    condition='undistort_frames',
-    description='With `undistort_frames`: the frame without the distortion of the lens, '
-    'pixels by P of `camera_info`.',
-)
 IMAGE_COMPRESSED = Topic(
     'image_raw/compressed',
     'sensor_msgs/msg/CompressedImage',
-    condition='compressed_frames',
-    description='With `compressed_frames`: the frame as JPEG or PNG, named as image_transport '
-    'does.',
+    condition='image_transport',
+    description='With `image_transport: compressed`: frames as `image_transport republish` sends '
+    'them.',
 )
 EVENTS_RECT = Topic(
     'events_rect',
@@ -386,16 +379,6 @@ SERVICES = (
         'driver/find_hot_pixels',
         'Counts events for `hot_pixels_duration` and masks hot pixels: the eight noisiest '
         'in the camera, the others in the driver. Keep the scene still.',
-    ),
-    Service(
-        'driver/save_parameters',
-        'Writes the running settings as a parameter file, `saved_parameters` in the state folder.',
-    ),
-    Service(
-        'driver/self_test',
-        'Looks at the stream for five seconds: clock, wraps, noise, focus, ripple of the lamp, '
-        'temperature. Keep the scene still. Changes nothing.',
-        'diagnostic_msgs/srv/SelfTest',
     ),
     Service(
         'virtual_sensor/play',

@@ -265,9 +265,3 @@ class BulkReader:
         data = bytes(memoryview(self._buffer)[:count])
         self._queue.put(data, time.time_ns(), short_packet=count < len(self._buffer))
         return self._queue.pop()
-
-
-MESSAGE_SIZE = 64
-HEADER_SIZE = 6
-DEBUG_READ_TIMEOUT_MS = 100
-DEBUG_STOP_TIMEOUT_S = 2.0

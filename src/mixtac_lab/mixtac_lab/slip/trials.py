@@ -333,48 +333,6 @@ def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def margin_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what trials that start at one margin come to, for JSON.
-
-    `held` and `open_held`: shares held with and without control. `undetected`: share of knocks
-    without a detection. `median_mm` and `open_median_mm`: displacement with and without control.
-    `peak_n`: largest true force. `stopped`: interlock stops. `slid_before`: objects among these
-    that had begun to slide before slip control was enabled. `trials`: their number.
-    """
-    count = len(results)
-    return {
-        'held': round(sum(each['held'] for each in results) / count, 4),
-        'undetected': round(sum(each['detection_ms'] is None for each in results) / count, 4),
-        'median_mm': round(float(np.median([each['slip_mm'] for each in results])), 4),
-        'open_held': round(sum(each['open_held'] for each in results) / count, 4),
-        'open_median_mm': round(float(np.median([each['open_slip_mm'] for each in results])), 4),
-        'peak_n': round(max(each['peak_n'] for each in results), 3),
-        'stopped': sum(bool(each['stopped']) for each in results),
-        'slid_before': sum(each['slid_before'] for each in results),
-        'trials': count,
-    }
-
-
-def load_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what slowly loaded objects come to, for JSON.
-
-    `trials`: their number; `dropped`: of these; `median_mm`: displacement; `slips`: slips that were
-    reported; `force_ratio`: median force at the end over that at the start; `peak_n`: largest true
-    force; `stopped`: interlock stops.
-    """
-    return {
-        'trials': len(results),
-        'dropped': sum(not each['held'] for each in results),
-        'median_mm': round(float(np.median([each['slip_mm'] for each in results])), 4),
-        'slips': sum(each['slips'] for each in results),
-        'force_ratio': round(
-            float(np.median([each['end_n'] / each['grasp_n'] for each in results])), 3
-        ),
-        'peak_n': round(max(each['peak_n'] for each in results), 3),
-        'stopped': sum(bool(each['stopped']) for each in results),
-    }
-
-
 def _median(values: Sequence[float | None]) -> dict[str, float | None]:
     """Return the median, the 10th and the 90th percentile; None without finite values."""
     array = np.array(values, np.float64)
@@ -404,12 +362,6 @@ def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
     start = np.interp(0.0, t_ms, record.object_mm)
     course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
     return result | {'course_mm': course.round(4).tolist()}
-
-
-def load_piece(plan: TrialPlan) -> Piece:
-    """Return a slowly loaded object as a piece of work."""
-    piece = trial_piece(plan)
-    return Piece(f'load_{plan.name}_s{plan.seed}', _loaded, (plan,), piece.version)
 
 
 def _loaded(_base: Path, plan: TrialPlan) -> dict[str, Any]:

@@ -32,16 +32,13 @@ from mixtac_lab.slip.trials import (
     trial_piece,
 )
 from mixtac_learning.train.config import OURS
-from mixtac_sim.grasp.objects import ObjectName
 from mixtac_sim.grids import HEIGHT, WIDTH
 
 PAPER_MM = {'cup': 0.90, 'box': 0.71, 'ball': 10.03}
 """Mean displacement in the paper [mm]."""
-PAPER_TRIALS: dict[ObjectName, int] = {'cup': 20, 'box': 15, 'ball': 20}
 PAPER_MS, PAPER_BOX_MM = 13.0, 0.32
 """Duration and displacement of the paper's one box trial."""
 FIRST_SEED = 86_000
-GRASPS_FIRST_SEED = 80_000
 MARGIN = 1.05
 """Ratio of the grasp force to the smallest force that holds the object."""
 _PLACE = 'section IV-F, Fig. 8'
@@ -200,22 +197,3 @@ def _draw_key_frame(ax: Axes, record: LoopRecord, at_ms: float) -> None:
     np.add.at(picture, (events.y, events.x), np.where(events.polarity, 1.0, -1.0))
     ax.imshow(picture, cmap='gray', vmin=-1, vmax=1)
     ax.set(xticks=[], yticks=[], title=f'{at_ms:.0f} to {at_ms + FRAME_MS:.0f} ms')
-
-
-def draw_objects(path: Path, courses: Mapping[str, Sequence[NDArray[np.float64]]]) -> None:
-    """Draw the displacement of every object after the knock, one panel per kind.
-
-    Args:
-        path: Image file.
-        courses: Displacement at `COURSE_MS` of each trial [180] [mm], by kind.
-    """
-    figure, axes = new_axes(columns=len(courses), width=4.0 * len(courses))
-    for ax, (name, ways) in zip(axes, courses.items(), strict=True):
-        for way in ways:
-            ax.plot(COURSE_MS, way, color=_COLOUR, alpha=0.3, linewidth=0.8)
-        ax.plot(COURSE_MS, np.mean(ways, axis=0), color=_COLOUR, label='mean')
-        ax.axhline(PAPER_MM[name], color=PAPER, linestyle=':', label="the paper's mean")
-        ax.set(xlabel='after the knock [ms]', title=f'{name}, {len(ways)} trials, simulated')
-        ax.legend()
-    axes[0].set_ylabel('displacement [mm]')
-    save_figure(figure, path)

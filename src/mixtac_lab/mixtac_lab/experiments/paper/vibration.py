@@ -411,11 +411,3 @@ def _draw(path: Path, panels: dict[str, list[Found]], *, simulated: bool) -> Pat
     axes[0].set_ylabel('reconstructed [Hz]')
     figure.colorbar(mesh, ax=axes, label='amplitude / largest', fraction=0.03)
     return save_figure(figure, path)
-
-
-FREQUENCIES = (60, 110, 160, 210, 250, 330, 430)
-"""Tones of the study [Hz], most of them away from lamp ripple at 100 Hz."""
-AMPLITUDES = (0.02, 0.05, 0.1)
-"""Amplitudes of the study, zero to peak [mm]."""
-TONE_BIN_US = 1000
-TONE_SIGNALS = {COUNT: 'count', POLARITY: 'ON - OFF', FLOW: 'flow'}
