@@ -68,8 +68,8 @@ class FgerParameters:
         stale_frame_age: Age of the latest frame above which the force is not valid. Without frames
             the force drifts.
         image_transport: Frames are received as `raw` from image_raw, or `compressed` from
-            image_raw/compressed, as the driver publishes them with `compressed_frames`. Takes
-            effect at the next activation.
+            image_raw/compressed, as `image_transport republish` sends them. Takes effect at the
+            next activation.
         longest_without_frame: Age of the latest frame above which no force is published until the
             next frame.
         deadline: Longest time from the arrival of the packet that completes a window (its first

@@ -129,8 +129,8 @@ EVENTS_RECT = Topic(
     'event_camera_msgs/msg/EventPacket',
     depth=1000,
     condition='undistort_events',
-    description='With `undistort_events`: events at the pixels of `image_rect`; events outside '
-    'are dropped.',
+    description='With `undistort_events`: events at the pixels of a rectified image; others are '
+    'dropped.',
 )
 IMAGE_EXPOSURE = Topic(
     'image_exposure',
