@@ -7,6 +7,7 @@ Names may be added. A name that goes is taken out, and CHANGELOG.md tells what t
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import runpy
@@ -57,6 +58,12 @@ def test_every_parameter_of_a_node_is_there(node):
 def test_every_launch_argument_is_there(launch_arguments, file):
     wanted = set(INTERFACE['launch_arguments'][file])
     assert wanted <= set(launch_arguments(ROOT / 'launch' / file))
+
+
+@pytest.mark.parametrize('path', ROOT.glob('src/*/setup.py'), ids=lambda path: path.parent.name)
+def test_every_entry_point_can_be_loaded(path):
+    for module, name in re.findall(r"'[\w.:-]+ = ([\w.]+):(\w+)'", path.read_text()):
+        assert hasattr(importlib.import_module(module), name), f'{module}:{name}'
 
 
 def test_every_executable_is_there():
