@@ -38,7 +38,6 @@ FORWARDED = (
     'serial',
     'namespace',
     'params_file',
-    'single_process',
     'reference_topic',
     'log_level',
 )
@@ -53,12 +52,6 @@ ARGUMENTS = [
         'records the running sensor',
     ),
     DeclareLaunchArgument('serial', default_value='', description='Serial number of the camera'),
-    DeclareLaunchArgument(
-        'single_process',
-        default_value='false',
-        choices=BOOLEAN,
-        description='Run driver and estimator in one process',
-    ),
     DeclareLaunchArgument(
         'reference_topic',
         default_value=REFERENCE,
