@@ -24,6 +24,7 @@ from mixtac_driver.parameters import DeviceParameters
 from mixtac_driver.pixels import event_buffers, move_events
 from mixtac_events.arrays import Events, Floats
 from mixtac_node.files import FileError, load_yaml, write_text
+from mixtac_node.share import ShareError, share
 
 EQUIDISTANT = 'equidistant'
 PLUMB_BOB = 'plumb_bob'
@@ -163,10 +164,8 @@ def resolve(url: str, camera_name: str) -> Path:
 
 def _in_package(package: str, path: str, url: str) -> Path:
     try:
-        from ament_index_python.packages import get_package_share_directory
-
-        return Path(get_package_share_directory(package)) / path
-    except (ImportError, LookupError, ValueError) as error:
+        return share(package) / path
+    except (ShareError, ValueError) as error:
         raise CalibrationError(
             f'camerainfo_url {url!r}: no package {package!r}; source its workspace or give a path'
         ) from error

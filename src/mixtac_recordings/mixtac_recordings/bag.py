@@ -24,6 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
 from mixtac_node.files import FileError, read_data
+from mixtac_node.share import share
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.recording import (
     BAG_SUFFIXES,
@@ -55,25 +56,13 @@ def typestore() -> Typestore:
     """Return Jazzy's standard types and those of the workspace, from their installed definitions.
 
     Raises:
-        RecordingError: The packages that define them are not installed.
+        ShareError: The packages that define them are not installed.
     """
-    try:
-        from ament_index_python.packages import get_package_share_directory
-    except ImportError as error:
-        raise RecordingError(
-            f'bags cannot be read without the index of packages ({error})',
-            remedy='source the workspace',
-        ) from error
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in _OWN_TYPES:
         package, _, message = name.split('/')
-        try:
-            share = Path(get_package_share_directory(package))
-        except LookupError as error:
-            raise RecordingError(
-                f'bags cannot be read without {package}', remedy='source the workspace'
-            ) from error
-        store.register(get_types_from_msg((share / 'msg' / f'{message}.msg').read_text(), name))
+        text = (share(package) / 'msg' / f'{message}.msg').read_text()
+        store.register(get_types_from_msg(text, name))
     return store
 
 

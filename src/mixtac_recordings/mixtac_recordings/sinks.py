@@ -97,7 +97,7 @@ def load_h5py() -> Any:  # noqa: ANN401
     except ImportError as error:
         raise RecordingError(
             f'HDF5 files need h5py, which is not installed ({error})',
-            remedy='python3 tools/setup.py --with hdf5, or pip install -r requirements/hdf5.txt',
+            remedy='python3 tools/setup.py --with hdf5, or pip install h5py',
         ) from error
     return h5py
 

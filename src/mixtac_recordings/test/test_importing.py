@@ -105,7 +105,7 @@ def forces(bag: Path):
 @pytest.mark.parametrize('make', [CsvSink, NpzSink, Hdf5Sink])
 def test_what_was_exported_comes_back(tmp_path: Path, make):
     if make is Hdf5Sink:
-        pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+        pytest.importorskip('h5py', reason='pip install h5py')
     tables = tmp_path / 'tables'
     tables.mkdir()
     fill(make(tables))
@@ -119,7 +119,7 @@ def test_what_was_exported_comes_back(tmp_path: Path, make):
 
 
 def test_h5py_reads_the_layout_of_dsec(tmp_path: Path):
-    h5py = pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+    h5py = pytest.importorskip('h5py', reason='pip install h5py')
     fill(Hdf5Sink(tmp_path))
     with h5py.File(tmp_path / 'recording.h5') as file:
         t = file['events/t'][()]
@@ -362,7 +362,7 @@ def test_fractions_of_seconds_need_their_unit(tmp_path: Path):
 
 @pytest.mark.parametrize('offset', [np.int64(3_000_000), np.uint64(3_000_000), np.float64(3e6)])
 def test_event_times_of_hdf5_may_be_fractions(tmp_path: Path, offset: np.generic):
-    h5py = pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+    h5py = pytest.importorskip('h5py', reason='pip install h5py')
     with h5py.File(tmp_path / 'x.h5', 'x') as file:
         for name in ('x', 'y', 'polarity'):
             file[f'events/{name}'] = getattr(EVENTS, name)
@@ -482,7 +482,7 @@ def test_the_folder_of_an_exported_file_is_enough(tmp_path: Path, make):
     folder = tmp_path / 'out'
     folder.mkdir()
     if make is Hdf5Sink:
-        pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+        pytest.importorskip('h5py', reason='pip install h5py')
         fill(Hdf5Sink(folder))
     else:
         info = RecordingInfo(tmp_path, 'test', 'DAVIS', 346, 260, 0, START_US, 90_000, ())
