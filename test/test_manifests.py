@@ -37,20 +37,20 @@ KEYS = {
 }
 """rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
 WITHOUT_KEY = {
-    'backports': 'requirements/base.txt',
     'cattrs': 'requirements/base.txt',
     'libusb_package': 'requirements/base.txt',
-    'lz4': 'requirements/base.txt',
+    'mcap': 'requirements/base.txt',
     'safetensors': 'requirements/base.txt',
     'threadpoolctl': 'requirements/cli.txt',
     'ruckig': 'requirements/base.txt',
+    'dv_processing': 'requirements/aedat4.txt',
     'h5py': 'requirements/hdf5.txt',
     'rerun': 'requirements/view.txt',
     'rerun_cli': 'requirements/view.txt',
 }
 """Modules without a key, and the file that pip installs them from."""
-OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
-"""Used where present (cv_bridge, hdf5plugin, Python 3.14), or a part of another (numba)."""
+OPTIONAL = {'cv_bridge', 'hdf5plugin', 'llvmlite'}
+"""Used where present (cv_bridge, hdf5plugin), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:

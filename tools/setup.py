@@ -29,7 +29,7 @@ from pathlib import Path
 from setup_checks import check_place, check_python, check_system, full_ros
 from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
 
-EXTRAS = ('learn', 'dev', 'view', 'hdf5')
+EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
@@ -327,7 +327,7 @@ def main() -> int:
         choices=EXTRAS,
         help='an optional part: learn is PyTorch for training and experiments, dev what tests and '
         'checks need, view the live view in a browser, hdf5 '
-        'reading and writing of HDF5 files',
+        'and aedat4 reading and writing of such files',
     )
     parser.add_argument(
         '--robot', action='store_true', help='only the nodes: no command line, no simulator'
