@@ -10,7 +10,7 @@ their beginning, without any true force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -516,7 +516,7 @@ def train_paper(
     *,
     device: str,
     processes: Processes,
-    make_loop: Callable[..., TrainingLoop],
+    **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
     """Train one network and return it, on the CPU in evaluation mode, and the curves.
 
@@ -529,7 +529,7 @@ def train_paper(
         checked: Trials to validate on.
         device: Device to compute on.
         processes: Processes that share the training.
-        make_loop: Makes the loop, with the checkpoint and the report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or there are fewer trials than processes.
@@ -541,7 +541,7 @@ def train_paper(
     own = processes.share(range(len(samples)))
     if not own:
         raise TrainingError(f'{len(samples)} trials for {processes.world} processes')
-    loop = make_loop(
+    loop = TrainingLoop(
         network,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
@@ -549,6 +549,7 @@ def train_paper(
         patience=settings.patience,
         processes=processes,
         mixed=settings.mixed,
+        **options,
     )
     kinds: dict[str, type[PaperStage]] = {'frames': FrameStage}
     if not isinstance(network, FrameModel):
