@@ -27,6 +27,7 @@ COMMANDS = {
     'demo': 'mixtac_cli.demo.command:demo',
     'doctor': 'mixtac_cli.doctor:doctor',
     'evaluate': 'mixtac_learning.commands:evaluate',
+    'experiments': 'mixtac_learning.experiments:EXPERIMENTS',
     'export': 'mixtac_cli.export:export',
     'import': 'mixtac_cli.export:import_',
     'inspect': 'mixtac_cli.export:inspect',
@@ -38,18 +39,6 @@ COMMANDS = {
     'view': 'mixtac_cli.up:view',
 }
 UP = {'slip': 'mixtac_cli.up:slip'}
-EXPERIMENTS = {
-    'all': 'mixtac_lab.experiments.harness:all_experiments',
-    'comparison': 'mixtac_lab.experiments.paper.comparison:comparison',
-    'fusion': 'mixtac_lab.experiments.paper.forces:fusion',
-    'impact': 'mixtac_lab.experiments.paper.forces:impact',
-    'inputs': 'mixtac_lab.experiments.paper.forces:inputs',
-    'model': 'mixtac_lab.experiments.paper.model:model',
-    'models': 'mixtac_lab.experiments.models:models',
-    'slip': 'mixtac_lab.experiments.paper.slip:slip',
-    'stability': 'mixtac_lab.experiments.paper.forces:stability',
-    'vibration': 'mixtac_lab.experiments.paper.vibration:vibration',
-}
 INTERRUPTED = 130
 
 
@@ -73,7 +62,10 @@ class Commands(TyperGroup):
             return target
         app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         try:
-            app.command(cmd_name)(load(target))
+            found = load(target)
+            if isinstance(found, dict):
+                return group(cmd_name, found, "The paper's experiments.")
+            app.command(cmd_name)(found)
         except MixtacError as error:
             app.command(cmd_name, help=str(error))(raising(error))
         return get_command(app)
@@ -126,22 +118,19 @@ def group(name: str, targets: Mapping[str, Any], text: str, function: Any = None
 
 
 class Root(Commands):
-    """The commands, with `up` and `experiments` as groups."""
+    """The commands, with `up` as a group that also runs by itself."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401
         """Return a command, None for an unknown one."""
         if cmd_name == 'up':
             return group('up', UP, '', load(COMMANDS['up']))
-        if cmd_name == 'experiments':
-            return group('experiments', EXPERIMENTS, "The paper's experiments.")
         return super().get_command(ctx, cmd_name)
 
 
 def root() -> Any:  # noqa: ANN401
     """Return the command `mixtac`."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    targets = {**COMMANDS, 'experiments': None}
-    cls = type('Commands', (Root,), {'targets': targets})
+    cls = type('Commands', (Root,), {'targets': COMMANDS})
     text = 'Mixtac: event- and frame-based tactile force sensing in ROS 2.'
     app.callback(cls=cls, no_args_is_help=True, help=text)(lambda: None)
     command = get_command(app)

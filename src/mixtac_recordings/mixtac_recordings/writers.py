@@ -58,7 +58,7 @@ def open_hdf5(path: Path, mode: str) -> Any:  # noqa: ANN401
     except ImportError as error:
         raise RecordingError(
             f'HDF5 files need h5py, which is not installed ({error})',
-            remedy='python3 tools/setup.py --with hdf5, or pip install -r requirements/hdf5.txt',
+            remedy='python3 tools/setup.py --with hdf5, or pip install h5py',
         ) from error
     with contextlib.suppress(ImportError):
         # Registers the compression of DSEC where it is installed.

@@ -15,7 +15,7 @@ from mixtac_recordings.aedat4 import Aedat4Writer
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError, RecordingInfo
 from mixtac_recordings.summary import summarise
 
-dv = pytest.importorskip('dv_processing', reason='pip install -r requirements/aedat4.txt')
+dv = pytest.importorskip('dv_processing', reason='pip install dv-processing')
 EVENTS = some_events(count=3000)
 RNG = np.random.default_rng(7)
 IMU = RNG.normal(0, 10, (150, 7)).astype(np.float32)

@@ -228,7 +228,7 @@ def test_event_times_of_hdf5_may_be_fractions(tmp_path: Path, offset: np.generic
 
 
 def test_a_group_of_hdf5_is_chosen(tmp_path: Path):
-    h5py = pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+    h5py = pytest.importorskip('h5py', reason='pip install h5py')
     with h5py.File(tmp_path / 'x.h5', 'x') as file:
         for name, column in COLUMNS.items():
             file[f'davis/left/{name}s'] = column

@@ -35,7 +35,7 @@ def pieces(path: Path):
 
 
 def test_an_aedat4_file_whose_table_has_no_counts():
-    pytest.importorskip('dv_processing', reason='pip install -r requirements/aedat4.txt')
+    pytest.importorskip('dv_processing', reason='pip install dv-processing')
     _, found = pieces(data('davis346_sample.aedat4'))
     assert sum(len(piece.events) for piece in found) == 6676
     assert sum(len(piece.frames) for piece in found) == 4
@@ -58,7 +58,7 @@ TRUTH = 'inputs/truth.npy'
 )
 def test_events_as_tools_of_others_write_them(tmp_path, name, unit):
     if name.endswith('.h5'):
-        pytest.importorskip('h5py', reason='pip install -r requirements/hdf5.txt')
+        pytest.importorskip('h5py', reason='pip install h5py')
     path, truth = data(f'inputs/{name}'), np.load(data(TRUTH))
     import_recording(path, tmp_path / 'bag', options=TableOptions(unit))
     _, found = pieces(tmp_path / 'bag')
