@@ -232,7 +232,6 @@ class ClockPublisher:
 
     def publish(self, time_us: int) -> None:
         """Publish a time [us, epoch-based camera clock], at most once per millisecond."""
-        # A seek back moves published time on, so that it never runs backwards.
         if time_us >= self._due_us:
             self._due_us = time_us + CLOCK_PERIOD_US
             self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
