@@ -337,32 +337,6 @@ def _number(value: float) -> str:
     return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
 
 
-class EventUndistortion:
-    """Moves events to the nearest pixel of the rectified camera.
-
-    Args:
-        calibration: The camera; its R and P define the rectified camera.
-
-    Attributes:
-        table: `int32` [height, width], rectified place of each raw pixel as row * 65536 + column,
-            -1 where it is outside the image.
-    """
-
-    def __init__(self, calibration: CameraCalibration) -> None:
-        width, height = calibration.size
-        rows, columns = np.mgrid[0:height, 0:width]
-        ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
-        near = np.floor(np.nan_to_num(ideal, nan=-1.0).clip(-1.0, 65535.0) + 0.5).astype(np.int32)
-        inside = ((near >= 0) & (near < (width, height))).all(axis=1)
-        places = near[:, 1] << 16 | near[:, 0]
-        self.table = np.where(inside, places, -1).astype(np.int32).reshape(height, width)
-        self.undistort(Events.empty())  # compile before the first events arrive
-
-    def undistort(self, events: Events) -> Events:
-        """Return the events that fall inside the rectified image, in the same order."""
-        return move_events(events, self.table, event_buffers(len(events)))
-
-
 class CalibratedCamera:
     """The calibration that a node serves; there may be none yet.
 
@@ -373,7 +347,6 @@ class CalibratedCamera:
     Attributes:
         path: File of the calibration, whether or not it exists.
         calibration: The calibration, or None.
-        undistortion: Moves events, if `undistort_events` is set; replaced as a whole.
 
     Raises:
         CalibrationError: The file is damaged or of a camera of another size, or missing although
@@ -381,10 +354,9 @@ class CalibratedCamera:
     """
 
     def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
-        self._parameters = parameters
-        self._size = size
+        self._p, self._size = parameters, size
+        self._table: NDArray[np.int32] | None = None
         self.calibration: CameraCalibration | None = None
-        self.undistortion: EventUndistortion | None = None
         self.path: Path = resolve(parameters.camerainfo_url, parameters.camera_name)
         if self.path.exists():
             self._use(read_camera_info(self.path))
@@ -400,20 +372,23 @@ class CalibratedCamera:
             return f'not calibrated: no {self.path}; write it with `mixtac calibrate`'
         return f'calibration {self.path} of {self.calibration.name}'
 
-    def camera_info_fields(self) -> dict[str, Any]:
-        """Return the fields of `sensor_msgs/CameraInfo` by name; none without calibration."""
+    def complete(self, info: Any) -> Any:  # noqa: ANN401
+        """Write the calibration, if any, into a `sensor_msgs/CameraInfo`, and return it."""
         calibration = self.calibration
-        if calibration is None:
-            return {}
-        return {
-            'width': calibration.width,
-            'height': calibration.height,
-            'distortion_model': calibration.model,
-            'd': calibration.distortion.tolist(),
-            'k': calibration.camera_matrix.ravel().tolist(),
-            'r': calibration.rectification.ravel().tolist(),
-            'p': calibration.projection.ravel().tolist(),
-        }
+        if calibration is not None:
+            info.width, info.height = calibration.size
+            info.distortion_model = calibration.model
+            info.d = calibration.distortion.tolist()
+            info.k = calibration.camera_matrix.ravel().tolist()
+            info.r = calibration.rectification.ravel().tolist()
+            info.p = calibration.projection.ravel().tolist()
+        return info
+
+    def undistort(self, events: Events) -> Events:
+        """Return the events that fall inside the rectified image, at the nearest pixel of it."""
+        if self._table is None:
+            return Events.empty()
+        return move_events(events, self._table, event_buffers(len(events)))
 
     def save(self, info: Any) -> Path:  # noqa: ANN401
         """Check a calibration, write it to its file, use it from now on, and return the file.
@@ -425,7 +400,7 @@ class CalibratedCamera:
             CalibrationError: It is implausible, of another camera, or cannot be written.
         """
         calibration = CameraCalibration(
-            name=self._parameters.camera_name,
+            name=self._p.camera_name,
             width=info.width,
             height=info.height,
             model=info.distortion_model,
@@ -441,8 +416,9 @@ class CalibratedCamera:
 
     def _use(self, calibration: CameraCalibration) -> None:
         self._check_size(calibration)
-        if self._parameters.undistort_events:
-            self.undistortion = EventUndistortion(calibration)
+        if self._p.undistort_events:
+            self._table = undistortion_table(calibration)
+            self.undistort(Events.empty())  # compile before the first events arrive
         self.calibration = calibration
 
     def _check_size(self, calibration: CameraCalibration) -> None:
@@ -452,3 +428,18 @@ class CalibratedCamera:
                 f'{self._size[0]}x{self._size[1]}',
                 remedy='calibrate this camera, or name its file in camerainfo_url',
             )
+
+
+def undistortion_table(calibration: CameraCalibration) -> NDArray[np.int32]:
+    """Return the rectified place of each raw pixel.
+
+    Returns:
+        `int32` [height, width], row * 65536 + column, -1 where the place is outside the image.
+    """
+    width, height = calibration.size
+    rows, columns = np.mgrid[0:height, 0:width]
+    ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
+    near = np.floor(np.nan_to_num(ideal, nan=-1.0).clip(-1.0, 65535.0) + 0.5).astype(np.int32)
+    inside = ((near >= 0) & (near < (width, height))).all(axis=1)
+    places = near[:, 1] << 16 | near[:, 0]
+    return np.where(inside, places, -1).astype(np.int32).reshape(height, width)

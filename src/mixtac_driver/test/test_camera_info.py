@@ -17,11 +17,11 @@ from mixtac_driver.camera_info import (
     CalibratedCamera,
     CalibrationError,
     CameraCalibration,
-    EventUndistortion,
     format_camera_info,
     parse_camera_info,
     read_camera_info,
     resolve,
+    undistortion_table,
     write_camera_info,
 )
 from mixtac_driver.parameters import DriverParameters
@@ -205,31 +205,23 @@ def test_events_land_where_the_undistorted_image_shows_them(model):
     show = cv2.fisheye.undistortImage if model == 'equidistant' else cv2.undistort
     flat = show(image, k, d, None, p).astype(float)
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
-    one = Events(
-        np.zeros(1, np.int64), *(np.array([v], np.uint16) for v in (x, y)), np.ones(1, bool)
-    )
-    moved = EventUndistortion(camera).undistort(one)
-    assert (flat * columns).sum() / flat.sum() == pytest.approx(moved.x[0], abs=1.0)
-    assert (flat * rows).sum() / flat.sum() == pytest.approx(moved.y[0], abs=1.0)
+    place = undistortion_table(camera)[y, x]
+    assert (flat * columns).sum() / flat.sum() == pytest.approx(place & 0xFFFF, abs=1.0)
+    assert (flat * rows).sum() / flat.sum() == pytest.approx(place >> 16, abs=1.0)
 
 
-def test_events_keep_their_order_and_outside_ones_are_dropped():
-    rng = np.random.default_rng(0)
-    n = 20_000
-    events = Events(
-        np.arange(n),
-        rng.integers(0, WIDTH, n).astype(np.uint16),
-        rng.integers(0, HEIGHT, n).astype(np.uint16),
-        rng.integers(0, 2, n).astype(bool),
-    )
-    undistortion = EventUndistortion(calibration())
-    kept = undistortion.table[events.y, events.x] >= 0
-    out = undistortion.undistort(events)
+def test_events_keep_their_order_and_outside_ones_are_dropped(tmp_path):
+    rng, n, path = np.random.default_rng(0), 20_000, tmp_path / 'camera.yaml'
+    x, y = (rng.integers(0, size, n).astype(np.uint16) for size in (WIDTH, HEIGHT))
+    events = Events(np.arange(n), x, y, rng.integers(0, 2, n).astype(bool))
+    write_camera_info(path, calibration())
+    p = DriverParameters(camerainfo_url=str(path), undistort_events=True)
+    out = CalibratedCamera(p, (WIDTH, HEIGHT)).undistort(events)
+    places = undistortion_table(calibration())[y, x]
     assert 0 < len(out) < n
-    np.testing.assert_array_equal(out.t, events.t[kept])
-    np.testing.assert_array_equal(out.polarity, events.polarity[kept])
-    assert out.x.max() < WIDTH
-    assert out.y.max() < HEIGHT
+    np.testing.assert_array_equal(out.t, events.t[places >= 0])
+    np.testing.assert_array_equal(out.polarity, events.polarity[places >= 0])
+    np.testing.assert_array_equal(out.y.astype(int) << 16 | out.x, places[places >= 0])
 
 
 def test_a_camera_of_another_size_is_refused_naming_both_sizes(tmp_path):
