@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration of a camera as in `sensor_msgs/CameraInfo`, its files, and undistorted events.
 
-Files are YAML as camera_info_manager and `camera_calibration` write them. Calibrations of OpenCV
-(`%YAML:1.0`) and camchains of Kalibr are read as well. OpenCV evaluates the lens models.
+Files are YAML as camera_info_manager and `camera_calibration` write them. OpenCV evaluates the lens
+models.
 """
 
 from __future__ import annotations
@@ -34,10 +34,6 @@ MODELS = {
     EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
 }
 """Names of the coefficients by distortion model."""
-KALIBR_MODELS = {'radtan': PLUMB_BOB, 'equidistant': EQUIDISTANT}
-"""Distortion model by its name in a camchain of Kalibr."""
-MAX_BYTES = 1 << 20
-"""Largest calibration file [bytes]."""
 ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity."""
 
@@ -136,40 +132,24 @@ def resolve(url: str, camera_name: str) -> Path:
     """Return the file that a URL names; it need not exist.
 
     Args:
-        url: `file:///path`, `package://name/path` or a path, with `${NAME}` and `${ROS_HOME}`.
+        url: `file:///path` or a path, with `${NAME}` and `${ROS_HOME}`; empty for `DEFAULT_URL`.
         camera_name: Value of `${NAME}`.
 
     Raises:
-        CalibrationError: Unknown scheme, variable or package, or a name with other characters than
-            letters, digits and `_`.
+        CalibrationError: Unknown scheme or variable, or a name with other characters than letters,
+            digits and `_`.
     """
     if not re.fullmatch(r'\w+', camera_name):
         raise CalibrationError(f'camera_name {camera_name!r}: use letters, digits and _ only')
     home = os.environ.get('ROS_HOME') or str(Path.home() / '.ros')
     text = (url or DEFAULT_URL).replace('${NAME}', camera_name).replace('${ROS_HOME}', home)
-    scheme, separator, rest = text.partition('://')
     if '${' in text:
         raise CalibrationError(f'camerainfo_url {url!r}: use the variables ROS_HOME and NAME only')
-    if not separator:
+    if '://' not in text:
         return Path(text).expanduser().absolute()
-    if scheme == 'file' and rest.startswith('/'):
-        return Path(unquote(rest))
-    if scheme == 'package':
-        return _in_package(*unquote(rest).partition('/')[::2], url)
-    raise CalibrationError(
-        f'camerainfo_url {url!r}: use file:///path, package://name/path or a path'
-    )
-
-
-def _in_package(package: str, path: str, url: str) -> Path:
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        return Path(get_package_share_directory(package)) / path
-    except (ImportError, LookupError, ValueError) as error:
-        raise CalibrationError(
-            f'camerainfo_url {url!r}: no package {package!r}; source its workspace or give a path'
-        ) from error
+    if not text.startswith('file:///'):
+        raise CalibrationError(f'camerainfo_url {url!r}: use file:///path or a path')
+    return Path(unquote(text.removeprefix('file://')))
 
 
 def read_camera_info(path: Path) -> CameraCalibration:
@@ -180,7 +160,11 @@ def read_camera_info(path: Path) -> CameraCalibration:
             the key.
     """
     try:
-        return parse_camera_info(_text(path), path.stem)
+        return parse_camera_info(path.read_text(encoding='utf-8'), path.stem)
+    except FileNotFoundError as error:
+        raise CalibrationError(f'{path}: no such file: write it with `mixtac calibrate`') from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f'{path}: cannot be read ({error}): check the path') from error
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error.message}', remedy=error.remedy) from error
 
@@ -195,50 +179,22 @@ def parse_camera_info(text: str, name: str = 'camera') -> CameraCalibration:
     Raises:
         CalibrationError: As `read_camera_info`.
     """
-    # OpenCV writes a directive and tags that YAML does not know.
-    text = re.sub(r'^%YAML:1\.0\s*(---)?', '', text).replace('!!opencv-matrix', '')
     try:
         document = load_yaml(text)
     except FileError as error:
         raise CalibrationError(error.message, remedy='recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
-    if 'cam0' in document:
-        document = _of_kalibr(document['cam0'])
-    matrix = _matrix(document, 'camera_matrix', (3, 3))
-    coefficients = _matrix(document, 'distortion_coefficients', None).ravel()
-    model = document.get('distortion_model', RATIONAL if len(coefficients) == 8 else PLUMB_BOB)
-    if model == PLUMB_BOB and len(coefficients) == 4:
-        coefficients = np.append(coefficients, 0.0)
-    identity = np.eye(3)
     return CameraCalibration(
         name=str(document.get('camera_name', name)),
         width=_whole(document, 'image_width'),
         height=_whole(document, 'image_height'),
-        model=str(model),
-        distortion=coefficients,
-        camera_matrix=matrix,
-        rectification=_matrix(document, 'rectification_matrix', (3, 3), identity),
-        projection=_matrix(document, 'projection_matrix', (3, 4), np.eye(3, 4), matrix),
+        model=str(document.get('distortion_model')),
+        distortion=_matrix(document, 'distortion_coefficients').ravel(),
+        camera_matrix=_matrix(document, 'camera_matrix', (3, 3)),
+        rectification=_matrix(document, 'rectification_matrix', (3, 3)),
+        projection=_matrix(document, 'projection_matrix', (3, 4)),
     )
-
-
-def _of_kalibr(camera: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return the first camera of a camchain with the keys of camera_info_manager."""
-    try:
-        fx, fy, cx, cy = camera['intrinsics']
-        width, height = camera['resolution']
-        model, coefficients = camera['distortion_model'], camera['distortion_coeffs']
-        matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-        found = {'distortion_model': KALIBR_MODELS.get(model, model)}
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f'cam0 of this camchain lacks {error}; recalibrate') from error
-    return found | {
-        'image_width': width,
-        'image_height': height,
-        'camera_matrix': {'rows': 3, 'cols': 3, 'data': matrix},
-        'distortion_coefficients': {'rows': 1, 'cols': len(coefficients), 'data': coefficients},
-    }
 
 
 def _whole(document: dict[str, Any], key: str) -> int:
@@ -248,18 +204,9 @@ def _whole(document: dict[str, Any], key: str) -> int:
     return value
 
 
-def _matrix(
-    document: dict[str, Any],
-    key: str,
-    shape: tuple[int, int] | None,
-    default: Floats | None = None,
-    left: Floats | None = None,
-) -> NDArray[np.float64]:
-    """Return a matrix of a file, or `default` with `left` in its first columns."""
-    block: Any = document.get(key)
-    if block is None and default is not None:
-        return default if left is None else np.hstack([left, default[:, left.shape[1] :]])
+def _matrix(document: dict[str, Any], key: str, shape: tuple[int, int] | None = None) -> Floats:
     try:
+        block: Any = document[key]
         # The C++ writer omits the point of 1e-05, which YAML 1.1 then reads as text.
         found = np.array([float(each) for each in block['data']])
         found = found.reshape(int(block['rows']), int(block['cols']))
@@ -277,19 +224,23 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
     """
-    lines = [f'# {line}'.rstrip() for line in comment.splitlines()]
-    name = yaml.safe_dump(calibration.name, default_style="'", width=10_000).strip()
-    lines += [
-        f'image_width: {calibration.width}',
-        f'image_height: {calibration.height}',
-        f'camera_name: {name}',
-        *_block('camera_matrix', calibration.camera_matrix),
-        f'distortion_model: {calibration.model}',
-        *_block('distortion_coefficients', calibration.distortion[None, :]),
-        *_block('rectification_matrix', calibration.rectification),
-        *_block('projection_matrix', calibration.projection),
-    ]
-    return '\n'.join(lines) + '\n'
+
+    def block(matrix: Floats) -> dict[str, Any]:
+        rows, columns = matrix.shape
+        return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
+
+    document = {
+        'image_width': calibration.width,
+        'image_height': calibration.height,
+        'camera_name': calibration.name,
+        'camera_matrix': block(calibration.camera_matrix),
+        'distortion_model': calibration.model,
+        'distortion_coefficients': block(calibration.distortion[None, :]),
+        'rectification_matrix': block(calibration.rectification),
+        'projection_matrix': block(calibration.projection),
+    }
+    lines = [f'# {line}\n' for line in comment.splitlines()]
+    return ''.join(lines) + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 
 def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
@@ -313,28 +264,6 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
                 remedy='remove it, or name another file',
             ) from error
     write_text(path, format_camera_info(calibration, comment))
-
-
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError('larger than 1 MiB: this is no camera_info file')
-        return path.read_text(encoding='utf-8')
-    except FileNotFoundError as error:
-        raise CalibrationError('no such file: write it with `mixtac calibrate`') from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f'cannot be read ({error}): check the path') from error
-
-
-def _block(key: str, matrix: NDArray[np.float64]) -> list[str]:
-    rows, columns = matrix.shape
-    values = ', '.join(_number(float(each)) for each in matrix.ravel())
-    return [f'{key}:', f'  rows: {rows}', f'  cols: {columns}', f'  data: [{values}]']
-
-
-def _number(value: float) -> str:
-    text = repr(value)
-    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
 
 
 class CalibratedCamera:

@@ -73,7 +73,9 @@ def test_what_the_camera_dropped_is_a_warning_until_it_stops(status, fake):
     assert status.status().level == OK
     fake.registers[0, 84] = 9
     said = status.status()
-    assert said.level == WARN
+    assert (said.level, said.values['camera dvs dropped']) == (WARN, 9)
+    # Plugged in anew, it counts from zero.
+    fake.registers[0, 84] = 0
     assert status.status().level == OK
 
 
