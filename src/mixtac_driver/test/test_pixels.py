@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Masked pixels: which the camera takes, which the host."""
+"""Masked pixels, by the camera and by the host, and finding hot ones among noise and edges."""
 
 from __future__ import annotations
 
 import os
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_driver.camera import CameraBatch
+from mixtac_driver.clock import Origin
 from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.pixels import PixelMask, load_mask, mask_of_image, save_mask
+from mixtac_driver.pixels import PixelCounter, PixelMask, hot_pixels, load_mask, save_mask
 from mixtac_events.arrays import Events
+from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_node.files import FileError
 
 SIZE = (346, 260)
@@ -30,7 +34,7 @@ def events_at(pixels):
 def test_events_of_masked_pixels_are_dropped_and_counted(masked, seen):
     mask = PixelMask(masked, SIZE)
     events = events_at(seen)
-    kept = mask.keep(events, SIZE)
+    kept = mask.keep(events)
     expected = [i for i, pixel in enumerate(seen) if pixel not in set(masked)]
     np.testing.assert_array_equal(kept.t, expected)
     for name in ('x', 'y', 'polarity'):
@@ -40,18 +44,14 @@ def test_events_of_masked_pixels_are_dropped_and_counted(masked, seen):
 
 def test_buffers_are_kept_for_shorter_batches():
     mask = PixelMask([(1, 1)], SIZE)
-    assert len(mask.keep(events_at([(0, 0)] * 100), SIZE)) == 100
-    assert len(mask.keep(events_at([(1, 1), (2, 2)]), SIZE)) == 1
+    assert len(mask.keep(events_at([(0, 0)] * 100))) == 100
+    assert len(mask.keep(events_at([(1, 1), (2, 2)]))) == 1
     assert mask.dropped == 1
 
 
 def test_addresses_outside_the_array_are_not_looked_up():
     outside = events_at([(65535, 65535), (346, 0), (0, 260)])
-    assert len(PixelMask([(1, 1)], SIZE).keep(outside, SIZE)) == 3
-
-
-def test_a_mask_of_another_size_has_no_effect():
-    assert len(PixelMask([(1, 1)], SIZE).keep(events_at([(1, 1)]), (240, 180))) == 1
+    assert len(PixelMask([(1, 1)], SIZE).keep(outside)) == 0
 
 
 def test_the_camera_takes_the_first_eight():
@@ -70,13 +70,11 @@ def test_images_keep_the_mask_and_which_pixels_come_first(tmp_path):
     assert set(mask.in_camera) == set(pixels[:8])
 
 
-def test_brighter_is_noisier():
-    image = np.zeros((260, 346), np.uint8)
+def test_brighter_is_noisier(tmp_path):
+    image, path = np.zeros((260, 346), np.uint8), str(tmp_path / 'mask.png')
     image[5, 7], image[9, 8], image[0, 0] = 10, 200, 100
-    assert mask_of_image(image).pixels == ((8, 9), (0, 0), (7, 5))
-
-
-def test_no_path_is_no_mask():
+    cv2.imwrite(path, image)
+    assert load_mask(path).pixels == ((8, 9), (0, 0), (7, 5))
     assert load_mask('').pixels == ()
 
 
@@ -89,8 +87,6 @@ def test_a_mask_is_a_file(tmp_path):
 
 
 def test_files_that_are_no_masks_are_refused(tmp_path):
-    import cv2
-
     small, colour = str(tmp_path / 'small.png'), str(tmp_path / 'colour.png')
     cv2.imwrite(small, np.full((10, 10), 9, np.uint8))
     cv2.imwrite(colour, np.zeros((260, 346, 3), np.uint8))
@@ -111,3 +107,56 @@ def test_files_that_are_no_masks_are_refused(tmp_path):
         save_mask(PixelMask(), str(tmp_path / 'mask.foo'))
     with pytest.raises(ConfigurationError):
         PixelMask([(346, 0)], SIZE)
+
+
+HOT = [(10, 20), (11, 20), (0, 0), (345, 259), (200, 100)]
+
+
+def counts_with(rates, background_hz=1.0, seconds=2.0, seed=1):
+    rng = np.random.default_rng(seed)
+    rate = np.full((260, 346), background_hz)
+    for (column, row), hz in rates.items():
+        rate[row, column] = hz
+    return rng.poisson(rate * seconds)
+
+
+def test_the_hot_pixels_are_found_the_noisiest_first():
+    rates = dict(zip(HOT, [5000, 2000, 1000, 300, 100], strict=True))
+    assert hot_pixels(counts_with(rates), 2.0, 10.0, 10.0) == HOT
+
+
+def test_noise_alone_has_no_hot_pixels():
+    for background in (0.1, 1.0, 10.0, 100.0):
+        for seconds in (0.1, 2.0):
+            counts = counts_with({}, background, seconds)
+            assert hot_pixels(counts, seconds, 10.0, 10.0) == []
+
+
+def test_edges_and_flickering_lights_are_not_hot():
+    counts = counts_with({(300, 200): 3000})
+    counts[100, :] += 400
+    np.fill_diagonal(counts[:, 40:], 500)
+    counts[150:200, 50:90] += 900
+    assert hot_pixels(counts, 2.0, 10.0, 10.0) == [(300, 200)]
+
+
+def test_quiet_pixels_stay_whatever_is_around():
+    assert hot_pixels(counts_with({(5, 5): 8}, background_hz=0.0), 2.0, 10.0, 10.0) == []
+
+
+def test_counting_begins_after_the_first_stretch_and_ends_in_time():
+    counter = PixelCounter(1000, SIZE)
+
+    def add(pixels, time_us):
+        decoded = DecodedBatch(events_at(pixels), (), NO_SAMPLES, NO_EDGES, time_us, 0)
+        counter.add(CameraBatch(decoded, Origin(0, 0), 0))
+
+    add([(1, 1)] * 50, 10_000)
+    add([(1, 2), (345, 259), (1, 2)], 10_500)
+    assert not counter.done.is_set()
+    add([(1, 2)], 11_000)
+    assert counter.done.is_set()
+    add([(1, 2)], 11_500)
+    assert counter.counts.sum() == 4
+    assert counter.counts[2, 1] == 3
+    assert counter.counts[259, 345] == 1
