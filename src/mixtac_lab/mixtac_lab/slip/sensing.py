@@ -4,7 +4,7 @@
 
 A grasp begins with the object held, so that the no-contact reference and the gains come from
 before: still frames of the same day without contact, and on other days, elsewhere on the gel, a
-press with known forces and a mass on a thread, as `calibrate-force --sideways-loads` takes it.
+press with known forces and a mass on a thread, as for `calibrate-force --sideways-loads`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_cli.calibrate_force.command import LOAD_SD_G
+from mixtac_cli.calibrate_force.command import LOAD_SD_G, parse_loads
+from mixtac_fger import force_calibration
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
-from mixtac_fger.force_calibration import ForceCalibrationError
-from mixtac_fger.pull_calibration import (
-    PullCalibration,
-    find_pulls,
-    fit_pulls,
-    last_contact,
-    parse_pulls,
-)
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_recordings.messages import left_aligned
-from mixtac_sim.world.gestures import PULLED_G
+from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec, simulate
 
 if TYPE_CHECKING:
@@ -89,14 +82,14 @@ def calibrate(device_seed: int, seed: int, preset: str) -> Gains:
     times, _, found = _beside(pulls, Gains(normal))
     try:
         fit = pulled_gain(1e-6 * (times - times[0]), found[:, 2], found[:, :2])
-    except ForceCalibrationError:
+    except force_calibration.ForceCalibrationError:
         return Gains(normal)
-    return Gains(normal, fit.elsewhere(1.0)[0])
+    return Gains(normal, force_calibration.sideways_gain(fit, 1.0)[0])
 
 
 def pulled_gain(
     t_s: NDArray[np.float64], force: NDArray[np.float64], across: NDArray[np.float64]
-) -> PullCalibration:
+) -> force_calibration.ForceCalibration:
     """Return the gain of the sideways force by a trial of the profile `pulls`.
 
     Args:
@@ -107,10 +100,12 @@ def pulled_gain(
     Raises:
         ForceCalibrationError: The sensor cannot be calibrated so.
     """
-    _, contact = last_contact(t_s, force)
-    loads = parse_pulls(f'{PULLED_G:g}', LOAD_SD_G)
-    pulls, _ = find_pulls(t_s[contact], across[contact], loads)
-    return fit_pulls(pulls)
+    _, contact = force_calibration.last_contact(t_s, force)
+    loads = len(PULL_WAYS) * parse_loads(f'{PULLED_G:g}', LOAD_SD_G)
+    aside = across[contact] @ np.array([1.0, 1.0j])
+    pull = force_calibration.PULL
+    pulls = force_calibration.find_plateaus(t_s[contact], aside, len(loads), pull)
+    return force_calibration.fit_gain(loads, pulls, pull)
 
 
 def _beside(

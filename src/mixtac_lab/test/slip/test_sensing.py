@@ -31,4 +31,3 @@ def test_the_gain_is_that_of_the_masses_that_pull() -> None:
     known = np.nan_to_num(motion[15::16, 5:]) * (1.0, -1.0)
     fit = pulled_gain(2e-3 * np.arange(count), force[15::16] / 0.7, known / 1.6)
     assert fit.gain == pytest.approx(1.6, rel=1e-3)
-    assert fit.turn == pytest.approx(0.0, abs=1e-3)
