@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
-from mixtac_fger.force_calibration import ForceCalibrationError
-from mixtac_fger.pull_calibration import (
-    PullCalibration,
-    find_pulls,
-    fit_pulls,
+from mixtac_fger.force_calibration import (
+    PULL,
+    ForceCalibration,
+    ForceCalibrationError,
+    find_plateaus,
+    fit_gain,
     last_contact,
-    parse_pulls,
+    load_of,
+    sideways_gain,
 )
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
@@ -44,7 +46,7 @@ from mixtac_sim.arm import (
 )
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.world.gestures import PULLED_G
+from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -112,10 +114,10 @@ def calibrate(device_seed: int, seed: int, preset: str) -> Gains:
         fit = fit_sideways(t_s, pulls.force, pulls.across[:, :2])
     except ForceCalibrationError:
         return Gains(normal)
-    return Gains(normal, fit.elsewhere(1.0)[0])
+    return Gains(normal, sideways_gain(fit, 1.0)[0])
 
 
-def fit_sideways(t_s: Floats, force: Floats, across: Floats) -> PullCalibration:
+def fit_sideways(t_s: Floats, force: Floats, across: Floats) -> ForceCalibration:
     """Return the gain of the sideways force by a trial of the profile `pulls`.
 
     Args:
@@ -127,9 +129,9 @@ def fit_sideways(t_s: Floats, force: Floats, across: Floats) -> PullCalibration:
         ForceCalibrationError: The sensor cannot be calibrated so.
     """
     _, contact = last_contact(t_s, force)
-    loads = parse_pulls(f'{PULLED_G:g}', LOAD_SD_G)
-    pulls, _ = find_pulls(t_s[contact], across[contact], loads)
-    return fit_pulls(pulls)
+    loads = [load_of(PULLED_G, LOAD_SD_G)] * len(PULL_WAYS)
+    aside = across[contact] @ np.array([1.0, 1.0j])
+    return fit_gain(loads, find_plateaus(t_s[contact], aside, len(loads), PULL), PULL)
 
 
 class SensedForce:
