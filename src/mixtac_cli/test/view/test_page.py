@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import socket
 import subprocess
+import time
 import urllib.request
 from contextlib import closing
 from pathlib import Path
@@ -15,8 +16,8 @@ import numpy as np
 import psutil
 import pytest
 
-from mixtac_cli.view import server as viewer_server
-from mixtac_cli.view.server import HOST, ViewError, ViewerServer, free_port, require_rerun
+from mixtac_cli.view import page as view_page
+from mixtac_cli.view.page import HOST, Page, ViewError, ViewerServer, free_port, require_rerun
 
 pytestmark = pytest.mark.live
 needs_rerun = pytest.mark.skipif(
@@ -25,7 +26,7 @@ needs_rerun = pytest.mark.skipif(
 
 
 def test_a_missing_viewer_is_named_with_its_remedy(monkeypatch):
-    monkeypatch.setattr(viewer_server.importlib.util, 'find_spec', lambda name: None)
+    monkeypatch.setattr(view_page.importlib.util, 'find_spec', lambda name: None)
     with pytest.raises(ViewError) as caught:
         require_rerun()
     assert 'make view' in caught.value.remedy
@@ -41,59 +42,58 @@ def test_a_port_in_use_is_named():
         assert f'port {taken}' in str(caught.value)
 
 
+def listening(process: psutil.Process) -> set[str]:
+    """Wait until the server listens on both its ports; return their addresses."""
+    while True:
+        found = [c.laddr for c in process.net_connections('inet') if c.status == 'LISTEN']
+        if len(found) >= 2:
+            return {each.ip for each in found}
+        assert process.is_running()
+        time.sleep(0.1)
+
+
 @needs_rerun
-def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner():
+def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
     before = set(psutil.Process().children())
     with closing(ViewerServer(0, 0, 50)) as server:
         (child,) = set(psutil.Process().children()) - before
-        listening = [c.laddr for c in child.net_connections('inet') if c.status == 'LISTEN']
-        assert len(listening) == 2
-        assert {each.ip for each in listening} == {HOST}
+        assert listening(child) == {HOST}
         page = urllib.request.urlopen(server.page_url.partition('?')[0], timeout=20).read()
         assert b'<canvas' in page.lower()
         assert child.environ()['TELEMETRY_ENABLED'] == 'false'
-    assert not child.is_running()
-
-
-@needs_rerun
-def test_usage_data_are_off_and_the_users_own_settings_untouched(tmp_path, monkeypatch):
-    monkeypatch.setenv('HOME', str(tmp_path))
-    with closing(ViewerServer(0, 0, 50)) as server:
-        settings = Path(server._home.name) / 'config' / 'rerun' / 'analytics.json'
+        settings = Path(child.environ()['XDG_CONFIG_HOME']) / 'rerun' / 'analytics.json'
         assert '"analytics_enabled":false' in settings.read_text().replace(' ', '')
-    assert not (tmp_path / '.config').exists()
+        assert not (tmp_path / '.config').exists()
+    assert not child.is_running()
 
 
 @needs_rerun
 def test_a_server_that_ended_is_reported():
     before = set(psutil.Process().children())
-    server = ViewerServer(0, 0, 50)
-    (child,) = set(psutil.Process().children()) - before
-    child.kill()
-    child.wait()
-    with pytest.raises(ViewError):
-        server.check()
-    server.close()
+    with closing(ViewerServer(0, 0, 50)) as server:
+        (child,) = set(psutil.Process().children()) - before
+        child.kill()
+        child.wait()
+        with pytest.raises(ViewError):
+            server.check()
 
 
 @needs_rerun
 def test_what_is_drawn_is_in_the_file(tmp_path):
-    from mixtac_cli.view.drawing import palette
-    from mixtac_cli.view.page import Page
-
     path = tmp_path / 'view.rrd'
-    page = Page(10.0, palette(), path=path)
+    page = Page(10.0, path=path)
     page.at(1_700_000_000_000_000_000)
     page.events(np.ones((4, 5), np.uint8))
     page.frame(np.zeros((4, 5), np.uint8))
-    page.text('state', 'fine')
-    times = np.arange(3, dtype=np.int64) + 1_700_000_000_000_000_000
-    page.curve('force/estimate', (times, np.array([1.0, 2.0, 3.0])))
-    page.curve('force/reference', (times[:0], np.zeros(0)))
-    page.show_slip()
+    page.contact(np.zeros((3, 2)))
+    page.contact(None)
+    page.text('fine')
+    page.curve('force/estimate', [(1_700_000_000_000_000_000 + i, 1.5) for i in range(3)])
+    page.curve('force/reference', [])
     page.close()
     printed = subprocess.run(
         [require_rerun(), 'rrd', 'print', path], capture_output=True, text=True, check=True
     ).stdout
-    for entity in ('/events', '/frame', '/state', '/force/estimate'):
+    for entity in ('/events', '/frame', '/frame/contact', '/state', '/force/estimate'):
         assert entity in printed
