@@ -36,11 +36,11 @@ KEYS = {
 }
 """rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
 WITHOUT_KEY = {
-    'backports',
     'cattrs',
+    'dv_processing',
     'h5py',
     'libusb_package',
-    'lz4',
+    'mcap',
     'rerun',
     'rerun_cli',
     'ruckig',
@@ -48,8 +48,8 @@ WITHOUT_KEY = {
     'threadpoolctl',
 }
 """Modules without a key, which pip installs."""
-OPTIONAL = {'cv_bridge', 'compression', 'hdf5plugin', 'llvmlite'}
-"""Used where present (cv_bridge, hdf5plugin, Python 3.14), or a part of another (numba)."""
+OPTIONAL = {'cv_bridge', 'hdf5plugin', 'llvmlite'}
+"""Used where present (cv_bridge, hdf5plugin), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:

@@ -71,7 +71,7 @@ CEILINGS = {
     'mixtac_events': 1384,
     'mixtac_node': 1686,
     'mixtac_description': 90,
-    'mixtac_recordings': 3534,
+    'mixtac_recordings': 2680,
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
     'mixtac_fger': 5579,
@@ -79,7 +79,7 @@ CEILINGS = {
     'mixtac_slip_control': 2334,
     'mixtac': 445,
     'mixtac_learning': 4285,
-    'mixtac_cli': 4537,
+    'mixtac_cli': 4420,
     'mixtac_lab': 2644,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""

@@ -32,7 +32,7 @@ def overrides(nodes) -> dict[str, dict[str, object]]:
     return {node.name: dict(node.overrides) for node in nodes}
 
 
-FROM_PIP = ('cattrs', 'numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'lz4', 'safetensors', 'usb')
+FROM_PIP = ('cattrs', 'numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
 """Modules that pip installs, but YAML."""
 
 
