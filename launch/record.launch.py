@@ -3,8 +3,8 @@
 """Record a sensor to an MCAP bag: a running one, or one started for the recording.
 
 With `device:=` the sensor is started as by `sensor.launch.py`; without it the running sensor is
-recorded. After the checks of `mixtac record --check`, the bag is written by `ros2 bag record` if it
-is installed, otherwise by the recorder of Mixtac. Ctrl-C closes the bag.
+recorded. Once event packets arrive (`mixtac record --check`), the bag is written by `ros2 bag
+record` if it is installed, otherwise by the recorder of Mixtac. Ctrl-C closes the bag.
 """
 
 import sys
@@ -69,7 +69,7 @@ ARGUMENTS = [
         'check',
         default_value='true',
         choices=BOOLEAN,
-        description='Check disk, topics and clocks first; record only without errors',
+        description='Wait for event packets and check the disk first; record only without errors',
     ),
     DeclareLaunchArgument(
         'start_after',

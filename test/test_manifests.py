@@ -48,8 +48,8 @@ WITHOUT_KEY = {
     'threadpoolctl',
 }
 """Modules without a key, which pip installs."""
-OPTIONAL = {'cv_bridge', 'hdf5plugin', 'llvmlite'}
-"""Used where present (cv_bridge, hdf5plugin), or a part of another (numba)."""
+OPTIONAL = {'hdf5plugin', 'llvmlite'}
+"""Used where present (hdf5plugin), or a part of another (numba)."""
 
 
 def imported(package: str) -> set[str]:

@@ -36,7 +36,7 @@ class Codec(Protocol):
 _CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
 ENCODINGS = tuple(_CODECS)
 """Names of the encodings, the preferred one first."""
-READABLE = (*ENCODINGS, foreign.MONO, foreign.EVT3)
+READABLE = (*ENCODINGS, foreign.EVT3)
 """Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
@@ -106,7 +106,7 @@ def decode(
 
     Args:
         payload: Encoded bytes: anything with a buffer, for example the field `events` of a message.
-        encoding: One of `ENCODINGS`, or `mono`.
+        encoding: One of `ENCODINGS`.
         time_base: Field of the same name, camera clock [ns].
         width: Columns of the sensor; events outside are an error.
         height: Rows of the sensor.
@@ -118,7 +118,7 @@ def decode(
         CodecError: Unknown encoding, truncated or damaged payload, an event outside the sensor, or
             a `time_base` that is negative or too large.
     """
-    codec = None if encoding == foreign.MONO else _codec(encoding)
+    codec = _codec(encoding)
     start_us = int(time_base) // 1000
     if not 0 <= time_base < MAX_TIME_BASE:
         raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
@@ -126,8 +126,6 @@ def decode(
     data = np.frombuffer(payload, np.uint8).copy()
     if data.size == 0:
         return DecodedPacket(Events.empty(), start_us)
-    if codec is None:
-        return foreign.decode_mono(data, int(time_base), width=int(width), height=int(height))
     return codec.decode(data, start_us, width=int(width), height=int(height))
 
 
@@ -210,8 +208,8 @@ def _codec(encoding: str) -> Codec:
         return _CODECS[encoding]
     except KeyError:
         raise CodecError(
-            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)}, and'
-            f' {foreign.MONO} to read; {foreign.EVT3} is read from recordings only'
+            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)};'
+            f' {foreign.EVT3} is read from recordings only'
         ) from None
 
 

@@ -1,14 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Encodings of other event cameras, which are read and never written: `evt3` and `mono`.
+"""The encoding `evt3` of other event cameras, which is read and never written.
 
-`evt3` is the stream of Prophesee's sensors, cut anywhere (EVT 3.0,
+It is the stream of Prophesee's sensors, cut anywhere (EVT 3.0,
 https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html): words of 16 bits whose upper four
 name their kind. Time and row hold until they change, also from packet to packet. Times have 24 bits
 [us] and roll over every 16.8 s.
-
-`mono` has 8 bytes per event: bits 0 to 31 nanoseconds since `time_base`, 32 to 47 the column, 48 to
-62 the row, 63 the polarity.
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ from mixtac_events.arrays import Events
 from mixtac_events.packets import CodecError, DecodedPacket
 
 EVT3: Final = 'evt3'
-MONO: Final = 'mono'
 _ROW, _EVENT, _BASE, _VECTOR_12, _VECTOR_8 = 0x0, 0x2, 0x3, 0x4, 0x5
 _TIME_LOW, _TIME_HIGH = 0x6, 0x8
 _IGNORED = (0x7, 0xA, 0xE, 0xF)
@@ -137,31 +133,3 @@ def _decode_words(  # noqa: C901, PLR0912  (one branch per kind of word)
         else:
             return n, at
     return n, -1
-
-
-def decode_mono(
-    payload: NDArray[np.uint8], time_base: int, *, width: int, height: int
-) -> DecodedPacket:
-    """Decode a `mono` packet that is not empty.
-
-    Args:
-        payload: Encoded bytes.
-        time_base: Field of the same name, camera clock [ns].
-        width: Columns of the sensor.
-        height: Rows of the sensor.
-
-    Raises:
-        CodecError: Length not a multiple of 8, or an event outside the sensor.
-    """
-    if payload.size % 8:
-        raise CodecError(f'mono payload of {payload.size} bytes: truncated, an event has 8 bytes')
-    columns = payload.view(np.uint16).reshape(-1, 4)
-    t = (payload.view(np.uint32)[::2].astype(np.int64) + time_base) // 1000
-    x, y = columns[:, 2].copy(), columns[:, 3] & np.uint16(0x7FFF)
-    if (x >= width).any() or (y >= height).any():
-        raise CodecError(
-            f'mono event outside the sensor of {width} x {height}: give the width and height of the'
-            ' camera that made the packet'
-        )
-    events = Events(t, x, y, columns[:, 3] >= 0x8000)
-    return DecodedPacket(events, int(t.max()))

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Encodings of other cameras: words written here one by one come out as events."""
+"""The encoding of other cameras: words written here one by one come out as events."""
 
 from __future__ import annotations
 
-import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_events.codec import ENCODINGS, READABLE, StreamDecoder, decode
+from mixtac_events.codec import StreamDecoder
 from mixtac_events.packets import CodecError
 
 SIZE = {'width': 640, 'height': 480}
@@ -42,9 +41,6 @@ def test_times_mean_nothing_before_their_upper_bits():
         decoder.decode(message(payload))
         known.append(decoder.timed)
     assert known == [False, True, True]
-    other = StreamDecoder()
-    other.decode(message(bytes(8), 'mono'))
-    assert other.timed
 
 
 def test_single_events_and_vectors():
@@ -123,26 +119,3 @@ def test_a_time_that_goes_back_a_little_is_no_roll_over():
 def test_other_words_are_refused(payload):
     with pytest.raises(CodecError):
         StreamDecoder().decode(message(payload))
-
-
-EVENTS = st.tuples(
-    st.integers(0, 2**32 - 1), st.integers(0, 639), st.integers(0, 479), st.booleans()
-)
-
-
-@given(st.lists(EVENTS, min_size=1, max_size=50), st.integers(0, 2**60))
-def test_mono(events, time_base):
-    payload = b''.join(struct.pack('<IHH', t, x, y | on << 15) for t, x, y, on in events)
-    found = StreamDecoder().decode(message(payload, 'mono', time_base=time_base))
-    assert rows(found) == [((time_base + t) // 1000, x, y, on) for t, x, y, on in events]
-    assert found.complete_until == max(t for t, *_ in rows(found))
-
-
-@pytest.mark.parametrize('payload', [bytes(7), struct.pack('<IHH', 0, 640, 0)])
-def test_damaged_mono_is_refused(payload):
-    with pytest.raises(CodecError):
-        decode(payload, 'mono', 0, **SIZE)
-
-
-def test_what_can_be_read_but_not_written():
-    assert set(READABLE) - set(ENCODINGS) == {'mono', 'evt3'}

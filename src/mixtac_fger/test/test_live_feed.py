@@ -88,7 +88,7 @@ def test_packets_become_forces_and_losses_are_counted(feed):
 def test_packets_of_other_drivers_become_forces(feed):
     forces = []
     for sequence, offset_ns in enumerate((205_000_000, 206_500_000)):
-        forces += feed.packet(message(sequence, 'mono', offset_ns, bytes(8)))
+        forces += feed.packet(message(sequence, 'libcaer', offset_ns, bytes([1] + [0] * 7)))
     assert [estimate.end_us for estimate in forces] == [206_000]
     assert feed.status().bad_messages == 0
 

@@ -1,20 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Between `sensor_msgs/Image` and NumPy arrays, with cv_bridge where it is installed or without.
+"""Between `sensor_msgs/Image` and NumPy arrays, without cv_bridge.
 
-Bytes are always unpacked here: the Python part of cv_bridge cannot swap bytes with NumPy 2 and
-assumes that the padding of a row is a whole number of pixels. Colours are converted by cv_bridge if
-it is installed, else by the OpenCV functions that it uses. Messages are those of rclpy or of
-rosbags.
+The Python part of cv_bridge cannot swap bytes with NumPy 2 and assumes that the padding of a row is
+a whole number of pixels. Colours are converted by the OpenCV functions that it uses. Messages are
+those of rclpy or of rosbags.
 """
 
 from __future__ import annotations
 
-import functools
 import sys
 from array import array
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,7 +29,7 @@ MOST_PIXELS = 1 << 22
 _MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
 _CHANNELS = {'mono': 1, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4} | dict.fromkeys(_MOSAICS, 1)
 _ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'}
-"""Encodings without colour names, and how OpenCV and cv_bridge interpret them."""
+"""Encodings without colour names, and how OpenCV interprets them."""
 ENCODINGS = (*(f'{kind}{bits}' for kind in _CHANNELS for bits in (8, 16)), *_ALIASES)
 """Encodings that can be read."""
 TARGETS = (PASSTHROUGH, *(f'{kind}{bits}' for kind in ('mono', 'rgb', 'bgr') for bits in (8, 16)))
@@ -41,20 +38,6 @@ TARGETS = (PASSTHROUGH, *(f'{kind}{bits}' for kind in ('mono', 'rgb', 'bgr') for
 
 class ImageConversionError(MixtacError):
     """An encoding that cannot be converted, or an image message that contradicts itself."""
-
-
-class ColourConverter(Protocol):
-    """Converts between two encodings: OpenCV or cv_bridge."""
-
-    def __call__(self, pixels: Pixels, source: str, target: str) -> Pixels:
-        """Return the pixels in another encoding.
-
-        Args:
-            pixels: `uint8` or `uint16`, [height, width] or [height, width, channels].
-            source: Their encoding, no alias.
-            target: Wanted encoding, different from `source`.
-        """
-        ...
 
 
 def pixels(message: Any) -> Pixels:  # noqa: ANN401
@@ -91,12 +74,7 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     return found if channels == 1 else found.reshape(height, width, channels)
 
 
-def image_array(
-    message: Any,  # noqa: ANN401
-    target: str = PASSTHROUGH,
-    *,
-    converter: ColourConverter | None = None,
-) -> Pixels:
+def image_array(message: Any, target: str = PASSTHROUGH) -> Pixels:  # noqa: ANN401
     """Return the pixels of an image message in another encoding.
 
     Values are scaled between 8 and 16 bits so that white stays white, as cv_bridge does.
@@ -104,7 +82,6 @@ def image_array(
     Args:
         message: A `sensor_msgs/Image` in one of `ENCODINGS`.
         target: One of `TARGETS`.
-        converter: Converter of colours; None for cv_bridge if it is installed, else OpenCV.
 
     Raises:
         ImageConversionError: Another encoding or target, or a damaged message.
@@ -115,7 +92,7 @@ def image_array(
     source = _ALIASES.get(str(message.encoding), str(message.encoding))
     if target in (PASSTHROUGH, source):
         return found
-    return (converter or default_converter())(found, source, target)
+    return convert_colours(found, source, target)
 
 
 def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays apart)
@@ -200,65 +177,22 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
         source = named
     if source == 'mono':
         return np.asarray(found)
-    return default_converter()(found, f'{source}{bits}', f'mono{bits}')
-
-
-@functools.cache
-def default_converter() -> ColourConverter:
-    """Return the converter of cv_bridge if it is installed, else that of this module."""
-    try:
-        from cv_bridge import CvBridge
-    except ImportError:
-        return convert_colours
-    return BridgeConverter(CvBridge())
+    return convert_colours(found, f'{source}{bits}', f'mono{bits}')
 
 
 def convert_colours(pixels: Pixels, source: str, target: str) -> Pixels:
-    """Convert with OpenCV, as cv_bridge does: first the colours, then the depth.
+    """Return pixels in another encoding: first the colours are converted, then the depth.
 
-    A ColourConverter. Bayer mosaics are interpolated bilinearly.
+    Bayer mosaics are interpolated bilinearly.
+
+    Args:
+        pixels: `uint8` or `uint16`, [height, width] or [height, width, channels].
+        source: Their encoding, no alias.
+        target: Wanted encoding, different from `source`.
     """
     code = _code(source.rstrip('0123456789'), target.rstrip('0123456789'))
     found = pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), pixels.dtype)
     return _with_depth(found, target)
-
-
-@dataclass(frozen=True)
-class BridgeConverter:
-    """Converts with cv_bridge; a ColourConverter.
-
-    Attributes:
-        bridge: A `cv_bridge.CvBridge`.
-    """
-
-    bridge: Any
-
-    def __call__(self, pixels: Pixels, source: str, target: str) -> Pixels:
-        """Return the pixels in another encoding."""
-        plain = _PlainImage(
-            height=pixels.shape[0],
-            width=pixels.shape[1],
-            encoding=source,
-            is_bigendian=int(sys.byteorder == 'big'),
-            step=pixels.nbytes // pixels.shape[0],
-            data=pixels.tobytes(),
-        )
-        try:
-            return np.asarray(self.bridge.imgmsg_to_cv2(plain, target))
-        except TypeError as error:  # CvBridgeError is one
-            raise ImageConversionError(f'cv_bridge, {source} to {target}: {error}') from error
-
-
-@dataclass(frozen=True)
-class _PlainImage:
-    """The fields of an image message that cv_bridge reads: native byte order, no padding."""
-
-    height: int
-    width: int
-    encoding: str
-    is_bigendian: int
-    step: int
-    data: bytes
 
 
 def _layout(encoding: str) -> tuple[np.dtype[Any], int]:

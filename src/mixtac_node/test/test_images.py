@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
-import sys
 from array import array
 from types import SimpleNamespace
 
@@ -15,13 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_node import images as conversion
 from mixtac_node.images import (
     ENCODINGS,
     TARGETS,
-    BridgeConverter,
     ImageConversionError,
-    convert_colours,
     fill,
     grey,
     image_array,
@@ -186,48 +181,3 @@ def test_impossible_requests_are_named():
         image_array(message_of(random_image('mono8'), 'mono8'), 'yuv')
     with pytest.raises(ImageConversionError):
         fill(SimpleNamespace(), random_image('mono16'), 'mono8')
-
-
-class StandIn:
-    """What `CvBridge` documents of `imgmsg_to_cv2`, to see what it is given."""
-
-    def imgmsg_to_cv2(self, message, target):
-        assert message.step * message.height == len(message.data)
-        if target == 'rgb16':
-            raise TypeError('Unrecognized image encoding [rgb16]')
-        kind = np.dtype('<u2' if message.encoding.endswith('16') else 'u1')
-        image = np.frombuffer(message.data, kind).reshape(message.height, message.width, -1)
-        return convert_colours(image.squeeze(), message.encoding, target)
-
-
-def test_cv_bridge_gets_plain_messages_and_its_errors_are_named():
-    bridge = BridgeConverter(StandIn())
-    image = random_image('mono16')
-    message = message_of(image, 'mono16', padding=3, big=True)
-    np.testing.assert_array_equal(
-        image_array(message, 'mono8', converter=bridge), image_array(message, 'mono8')
-    )
-    with pytest.raises(ImageConversionError):
-        image_array(message, 'rgb16', converter=bridge)
-
-
-def test_both_ways_agree_where_cv_bridge_is_installed():
-    cv_bridge = pytest.importorskip('cv_bridge', reason='cv_bridge is not installed')
-    bridge = BridgeConverter(cv_bridge.CvBridge())
-    for encoding, target in itertools.product(ENCODINGS, TARGETS):
-        message = message_of(random_image(encoding, 16, 16), encoding)
-        np.testing.assert_array_equal(
-            image_array(message, target, converter=bridge),
-            image_array(message, target, converter=convert_colours),
-            err_msg=f'{encoding} to {target}',
-        )
-
-
-def test_the_default_is_cv_bridge_where_it_is(monkeypatch):
-    conversion.default_converter.cache_clear()
-    monkeypatch.setitem(sys.modules, 'cv_bridge', SimpleNamespace(CvBridge=StandIn))
-    assert isinstance(conversion.default_converter(), BridgeConverter)
-    conversion.default_converter.cache_clear()
-    monkeypatch.setitem(sys.modules, 'cv_bridge', None)
-    assert conversion.default_converter() is convert_colours
-    conversion.default_converter.cache_clear()

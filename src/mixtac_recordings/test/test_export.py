@@ -74,7 +74,7 @@ def needs(kind: str) -> None:
     """Skip where the optional package of a format is missing."""
     if kind in {'hdf5', 'aedat4'}:
         package = {'hdf5': 'h5py', 'aedat4': 'dv_processing'}[kind]
-        pytest.importorskip(package, reason=f'needs {package}')
+        pytest.importorskip(package, reason=f'pip install {package}')
 
 
 def check(path: Path) -> None:

@@ -26,9 +26,6 @@ from mixtac_node.base_node import declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.topics import (
     DEFAULT_NAMESPACE,
-    FORCE,
-    IMAGE_RAW,
-    IMU,
     REFERENCE,
     REFERENCE_WRENCH,
     TOPICS,
@@ -37,8 +34,6 @@ from mixtac_recordings.bag_writer import BagWriter
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
-CAMERA_CLOCK = (IMAGE_RAW.name, IMU.name, FORCE.name)
-"""Topics whose stamps are on the camera clock, which is checked by them."""
 DEPTH = 1000
 """Least queue depth of a subscription: messages of about one second."""
 
@@ -103,22 +98,6 @@ class Listener(CommandNode):
             meter = TopicMeter(chosen, even=reference or each.name in EVEN)
             self.meters.append(meter)
             self.subscribe_topic(chosen, partial(self._on_message, meter), raw=True)
-
-    def publishers(self) -> dict[str, int]:
-        """Return the number of publishers by name of the topic, as in `meters`."""
-        namespace = self.get_namespace()
-        return {
-            meter.topic.name: self.count_publishers(meter.topic.resolved(namespace))
-            for meter in self.meters
-        }
-
-    def stamps_ns(self) -> dict[str, int]:
-        """Return the latest stamp [ns] of the topics that are on the camera clock."""
-        return {
-            meter.topic.name: meter.stamp_ns
-            for meter in self.meters
-            if meter.topic.name in CAMERA_CLOCK
-        }
 
     def start(self, output: Path) -> None:
         """Start writing to a new bag; figures count from now.
@@ -194,7 +173,7 @@ class Listener(CommandNode):
 
 
 class RecorderNode(Listener):
-    """Records from its start to its end; `mixtac record` adds checks and figures."""
+    """Records from its start to its end; `mixtac record` adds figures."""
 
     def __init__(self) -> None:
         super().__init__('recorder')

@@ -1,30 +1,25 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac record`: listen, check disk, topics and clocks, write a bag, and report the losses."""
+"""`mixtac record`: wait for the sensor, write a bag, and report the losses."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import signal
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, TextIO, cast
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from mixtac_cli.doctor import table
 from mixtac_cli.options import JsonFile, Namespace, Split, check_topic
-from mixtac_cli.record.meter import RecordingSummary, TopicMeter
+from mixtac_cli.record.meter import RecordingSummary
 from mixtac_cli.record.recorder_node import Listener
-from mixtac_driver.doctor import Finding, Level, ok
-from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
 from mixtac_recordings.bag import check_new
@@ -32,17 +27,12 @@ from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
 DISCOVERY_S = 1.5
-"""Best-effort messages in the first half second after a match are often lost."""
+"""Best-effort messages in the first half second after a match are often lost [s]."""
 REFRESH_S = 0.5
+"""Period of the display [s]."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-REQUIRED = ('events', 'image_raw')
-LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, topics.IMU.name: 50.0}
-"""Smallest expected rates [Hz]: packets every 1 ms, windows of 2 ms."""
 RESERVE_BYTES = 1 << 30
-SHORT_BYTES = 10 << 30
-EARLIEST_NS = 1_577_836_800_000_000_000
-"""2020: an earlier host clock was never set."""
-MOST_CLOCK_OFFSET_S = 1.0
+"""Least free space to begin with [bytes]."""
 
 
 def record(
@@ -60,31 +50,25 @@ def record(
     ] = '',
     split: Split = '',
     check: Annotated[
-        bool, typer.Option('--check', help='Only check the sensor; record nothing.')
+        bool, typer.Option('--check', help='Only wait for event packets; record nothing.')
     ] = False,
-    check_seconds: Annotated[
-        float, typer.Option(min=0.5, help='How long the checks listen (s).')
-    ] = 2,
     wait: Annotated[
         float, typer.Option(min=0, help='Longest time to wait for the first event packet (s).')
-    ] = 0,
-    force: Annotated[
-        bool, typer.Option('--force', help='Record even if the checks find errors.')
-    ] = False,
+    ] = 5,
     json: JsonFile = None,
 ) -> None:
-    """Check disk, topics and clocks, record the running sensor, and report the losses."""
+    """Record the running sensor, and report the losses. `mixtac doctor` checks the sensor."""
     check_new(out)
     read_recordings(out.absolute().parent / FILE_NAME)
-    console = Console(file=cast('TextIO', Display(sys.stdout)), markup=False)
+    if free_bytes(out) < RESERVE_BYTES:
+        raise RecordingError(
+            f'{free_bytes(out) / 1e9:.1f} GB are free for {out}',
+            remedy='free space or choose another disk',
+        )
+    console = Console(markup=False)
     with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
         listener.listen(reference_topic)
         _wait_for_packet(console, listener, wait, stopping)
-        findings = _check(console, listener, out, seconds, check_seconds, stopping)
-        errors = [each for each in findings if each.level is Level.ERROR]
-        if errors and not force:
-            first = '; '.join(filter(None, (errors[0].found, errors[0].remedy)))
-            raise RecordingError(f'not recorded: {errors[0].name}: {first}; --force records anyway')
         if check or stopping():
             return
         summary = _record(console, listener, out, seconds, stopping)
@@ -96,41 +80,6 @@ def record(
         raise RecordingError(
             f'{out} ends early: {summary.stopped}', remedy='free some space for the next one'
         )
-
-
-class Display:
-    """A stream of text that may break, with its terminal or its pipe: the rest goes nowhere then.
-
-    Args:
-        stream: The stream, of a file descriptor of its own.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
-        """Return what else the stream has."""
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        """Write a text; return its length."""
-        with self._broken_is_silent():
-            self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        """Show what was written."""
-        with self._broken_is_silent():
-            self._stream.flush()
-
-    @contextlib.contextmanager
-    def _broken_is_silent(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError:
-            # What is still buffered, also at the end of the process, must go somewhere.
-            with Path(os.devnull).open('wb') as nowhere:
-                os.dup2(nowhere.fileno(), self._stream.fileno())
 
 
 @contextlib.contextmanager
@@ -148,41 +97,22 @@ def _noted_signals() -> Iterator[Callable[[], bool]]:
 def _wait_for_packet(
     console: Console, listener: Listener, seconds: float, stopping: Callable[[], bool]
 ) -> None:
-    """Wait until an event packet has arrived, for at most some seconds."""
+    """Wait until event packets arrive.
+
+    Raises:
+        RecordingError: None came in time.
+    """
     events = next(meter for meter in listener.meters if meter.topic.name == EVENTS.name)
-    end_s = time.monotonic() + seconds
-    with console.status('waiting for the first event packet'):
-        while not events.messages and time.monotonic() < end_s and not stopping():
-            listener.spin_for(REFRESH_S, stopping)
-
-
-def _check(
-    console: Console,
-    listener: Listener,
-    out: Path,
-    seconds: float,
-    check_seconds: float,
-    stopping: Callable[[], bool],
-) -> list[Finding]:
-    """Listen and print the findings; nothing if interrupted."""
-    with console.status('listening'):
+    end_s = time.monotonic() + DISCOVERY_S + seconds
+    with console.status('waiting for event packets'):
         listener.spin_for(DISCOVERY_S, stopping)
-        for meter in listener.meters:
-            meter.restart()
-        began_s = time.monotonic()
-        listener.spin_for(check_seconds, stopping)
-        elapsed_s = time.monotonic() - began_s
-    if stopping():
-        return []
-    bytes_per_s = sum(meter.size for meter in listener.meters) / elapsed_s
-    simulated = listener.count_publishers('/clock') > 0
-    findings = [
-        check_disk(free_bytes(out), bytes_per_s, seconds),
-        *check_clocks(time.time_ns(), listener.stamps_ns(), simulated_time=simulated),
-        *check_topics(listener.meters, listener.publishers(), elapsed_s),
-    ]
-    console.print(table('before recording', findings))
-    return findings
+        while not events.messages and not stopping():
+            if time.monotonic() > end_s:
+                raise RecordingError(
+                    f'no event packets on {events.topic.resolved(listener.get_namespace())}',
+                    remedy='start the sensor, or give its --namespace; `mixtac doctor` checks it',
+                )
+            listener.spin_for(REFRESH_S, stopping)
 
 
 def _record(
@@ -231,101 +161,7 @@ def _progress(listener: Listener, out: Path, elapsed_s: float) -> Table:
     return table
 
 
-def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
-    """Check that a recording fits.
-
-    Args:
-        free_bytes: Free on the disk of the bag.
-        bytes_per_s: Rate at which messages arrive now.
-        seconds: Planned length [s]; 0 for until stopped.
-    """
-    left_s = max(0.0, free_bytes - RESERVE_BYTES) / bytes_per_s if bytes_per_s else float('inf')
-    room = f'{free_bytes / 1e9:.1f} GB free, {bytes_per_s / 1e6:.1f} MB/s'
-    if free_bytes <= RESERVE_BYTES or left_s < seconds:
-        found = f'{room}: full in {left_s:.0f} s'
-        return Finding('disk', Level.ERROR, found, 'free space or choose another disk')
-    if not seconds and free_bytes < SHORT_BYTES:
-        return Finding('disk', Level.WARN, f'{room}: enough for {left_s:.0f} s')
-    return ok('disk', room)
-
-
 def free_bytes(path: Path) -> int:
     """Return the free space on the disk of a folder, which need not exist yet [bytes]."""
     existing = next(each for each in (path, *path.absolute().parents) if each.exists())
     return shutil.disk_usage(existing).free
-
-
-def check_topics(
-    meters: Sequence[TopicMeter], publishers: Mapping[str, int], seconds: float
-) -> list[Finding]:
-    """Check that published topics arrive at their rates.
-
-    Args:
-        meters: Meters of the topics.
-        publishers: Publishers by name of the topic.
-        seconds: Listening time [s].
-    """
-    return [
-        finding
-        for meter in meters
-        if (finding := _check_topic(meter, publishers.get(meter.topic.name, 0), seconds))
-    ]
-
-
-def _check_topic(meter: TopicMeter, publishers: int, seconds: float) -> Finding | None:
-    name, required = meter.topic.name, meter.topic.name in REQUIRED
-    if publishers == 0:
-        text = 'no publisher: start the sensor, or give its --namespace'
-        return Finding(name, Level.ERROR, text) if required else None
-    if publishers > 1 and name != '/diagnostics':
-        text = f'{publishers} publishers: two sensors share a namespace; stop one of them'
-        return Finding(name, Level.ERROR, text)
-    if meter.messages == 0:
-        text = 'published, but nothing arrived'
-        least = LEAST_HZ.get(name)
-        return Finding(name, Level.ERROR if required else Level.WARN, text) if least else None
-    rate_hz = meter.messages / seconds
-    if rate_hz < LEAST_HZ.get(name, 0.0):
-        text = f'{rate_hz:.0f} Hz, at least {LEAST_HZ[name]:.0f} Hz expected; see /diagnostics'
-        return Finding(name, Level.WARN, text)
-    if meter.missing:
-        text = f'{rate_hz:.0f} Hz, {meter.missing} messages lost: this computer is too busy'
-        return Finding(name, Level.WARN, text)
-    return ok(name, f'{rate_hz:.1f} Hz')
-
-
-def check_clocks(
-    now_ns: int, stamps_ns: Mapping[str, int], *, simulated_time: bool = False
-) -> list[Finding]:
-    """Check that clocks are set and that those of one kind agree.
-
-    Args:
-        now_ns: Host clock [ns since the Unix epoch].
-        stamps_ns: Latest stamp of each topic on the camera clock, by name [ns].
-        simulated_time: Whether `/clock` has a publisher.
-    """
-    findings = []
-    if now_ns < EARLIEST_NS:
-        findings.append(Finding('host clock', Level.ERROR, 'never set: set it, or run NTP'))
-    if simulated_time:
-        text = '/clock is published: the stamps are those of a recording or simulator'
-        findings.append(Finding('host clock', Level.WARN, text))
-    offsets_s = {name: (now_ns - stamp) / 1e9 for name, stamp in stamps_ns.items() if stamp}
-    if not offsets_s:
-        return findings
-    apart_s = max(offsets_s.values()) - min(offsets_s.values())
-    if apart_s > MOST_CLOCK_OFFSET_S:
-        early = max(offsets_s, key=lambda name: offsets_s[name])
-        late = min(offsets_s, key=lambda name: offsets_s[name])
-        text = (
-            f'{early} lies {apart_s:.1f} s behind {late}: they are not from one camera, or the'
-            ' computer does not keep up'
-        )
-        findings.append(Finding('camera clock', Level.ERROR, text))
-    worst_s = max(offsets_s.values(), key=abs)
-    if abs(worst_s) > MOST_CLOCK_OFFSET_S and not simulated_time:
-        text = f'stamps are {worst_s:+.1f} s from the host: a recording, or a changed host clock'
-        findings.append(Finding('camera clock', Level.WARN, text))
-    elif apart_s <= MOST_CLOCK_OFFSET_S:
-        findings.append(ok('camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
-    return findings
