@@ -170,11 +170,9 @@ class ClockFit:
             pairs_s = np.array(anchors_s, np.float64).reshape(2, -1)
             residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
             method = str(fields['method'])
-        except KeyError as error:
-            raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
-        except (TypeError, ValueError, OverflowError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise AlignmentError(
-                f'clock fit with what is no number: {error}', remedy='fit again'
+                f'clock fit without a number in each field: {error}', remedy='fit again'
             ) from error
         times = np.array([camera_s, reference_s, *pairs_s.flat])
         known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()
