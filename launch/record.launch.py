@@ -7,6 +7,7 @@ recorded. After the checks of `mixtac record --check`, the bag is written by `ro
 is installed, otherwise by the recorder of Mixtac. Ctrl-C closes the bag.
 """
 
+import sys
 import tempfile
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
-from mixtac_node.graph import executable, recorder, rosbag2_qos
+from mixtac_node.graph import recorder, rosbag2_qos
 from mixtac_node.launch_actions import BOOLEAN, environment, node_actions, shared_arguments, value
 from mixtac_node.process import GraphError
 from mixtac_node.topics import REFERENCE
@@ -38,7 +39,6 @@ FORWARDED = (
     'serial',
     'namespace',
     'params_file',
-    'single_process',
     'reference_topic',
     'log_level',
 )
@@ -53,12 +53,6 @@ ARGUMENTS = [
         'records the running sensor',
     ),
     DeclareLaunchArgument('serial', default_value='', description='Serial number of the camera'),
-    DeclareLaunchArgument(
-        'single_process',
-        default_value='false',
-        choices=BOOLEAN,
-        description='Run driver and estimator in one process',
-    ),
     DeclareLaunchArgument(
         'reference_topic',
         default_value=REFERENCE,
@@ -113,7 +107,7 @@ def _recorder(context):
 
 def _check(context):
     """Return the process that checks."""
-    command = [str(executable('mixtac_cli', 'mixtac')), 'record', value(context, 'output')]
+    command = [sys.executable, '-m', 'mixtac_cli', 'record', value(context, 'output')]
     command += ['--check', '--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     if value(context, 'device') and not value(context, 'start_after'):

@@ -49,12 +49,6 @@ ARGUMENTS = [
         'keeps the value of the parameter files',
     ),
     DeclareLaunchArgument(
-        'single_process',
-        default_value='false',
-        choices=BOOLEAN,
-        description='Run driver and estimator in one process, which takes less CPU than two',
-    ),
-    DeclareLaunchArgument(
         'align',
         default_value='false',
         choices=BOOLEAN,
@@ -100,7 +94,6 @@ def _nodes(context):
         value(context, 'device'),
         driver={**given(context, *PLAYBACK), **({'serial': serial} if serial else {})},
         virtual_sensor=given(context, 'device_seed'),
-        single_process=value(context, 'single_process') == 'true',
         align=value(context, 'align') == 'true',
         view=value(context, 'view') == 'true',
         simulated_time=value(context, 'use_sim_time') == 'true',

@@ -25,7 +25,6 @@ from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
 FILES = ('sensor', 'replay', 'record')
-SINGLE = {'true': True, 'false': False}
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -71,10 +70,9 @@ def words(process) -> list[str]:
 
 
 @pytest.mark.parametrize('device', ['davis346', 'virtual', 'virtual:/some/where.sock'])
-@pytest.mark.parametrize('single', SINGLE)
-def test_the_launch_file_starts_the_graph(device, single):
-    found, _ = processes('sensor', device=device, single_process=single)
-    assert names(found) == graph_names(device, single_process=SINGLE[single])
+def test_the_launch_file_starts_the_graph(device):
+    found, _ = processes('sensor', device=device)
+    assert names(found) == graph_names(device)
 
 
 def test_the_frames_of_the_fingertip_are_published_unless_the_robot_does():
@@ -82,10 +80,9 @@ def test_the_frames_of_the_fingertip_are_published_unless_the_robot_does():
     assert names(found) == [*graph_names('davis346'), ('mixtac_description', 'frames_node')]
 
 
-@pytest.mark.parametrize('single', SINGLE)
-def test_overrides_reach_every_node_of_a_process(single):
+def test_overrides_reach_the_driver():
     values = {'device': '/some/bag', 'serial': '0042', 'playback_rate': '2.5'}
-    found, _ = processes('sensor', single_process=single, **values)
+    found, _ = processes('sensor', **values)
     given = words(found[0])
     assert {"device:='/some/bag'", "serial:='0042'", 'playback_rate:=2.5'} <= set(given)
     assert str(config_file('driver.yaml')) in given
@@ -123,11 +120,6 @@ def test_a_replay_is_the_sensor_on_a_recording_in_its_own_time():
     assert (given['use_sim_time'], given['playback_rate']) == ('true', '2.5')
     assert 'playback_clock:=true' in words(found[0])
     assert 'use_sim_time:=true' in words(found[1])
-
-
-def test_one_process_cannot_be_source_and_follower_of_the_clock():
-    with pytest.raises(GraphError):
-        processes('sensor', device='/bag', use_sim_time='true', single_process='true')
 
 
 @pytest.mark.parametrize('device', ['', 'davis346'])
@@ -205,8 +197,7 @@ def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
 
 @pytest.mark.dds
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize('single', SINGLE)
-def test_a_launched_virtual_sensor_gives_forces_and_ends_well(tmp_path, node_under_test, single):
+def test_a_launched_virtual_sensor_gives_forces_and_ends_well(tmp_path, node_under_test):
     graph = node_under_test
     forces = graph.listen(WrenchStamped, '/mixtac/force', qos_profile_system_default)
 
@@ -221,12 +212,10 @@ def test_a_launched_virtual_sensor_gives_forces_and_ends_well(tmp_path, node_und
         assert answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     device = f'virtual:{tmp_path}/usb.sock'
-    status, statuses = launched(
-        'sensor', watch, device=device, single_process=single, frames='false'
-    )
+    status, statuses = launched('sensor', watch, device=device, frames='false')
     assert forces[0].header.frame_id
     assert status == 0
-    assert statuses == [0] * len(graph_names(device, single_process=SINGLE[single]))
+    assert statuses == [0] * len(graph_names(device))
 
 
 PROGRAM = """

@@ -21,12 +21,13 @@ from rich.console import Console
 
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
-from mixtac_cli.view.server import require_rerun
+from mixtac_cli.view.page import require_rerun
 from mixtac_node.files import writable
 from mixtac_node.graph import (
     NodeSpec,
     is_virtual,
     live_view,
+    node,
     recorder,
     sensor_graph,
     slip_control,
@@ -49,10 +50,10 @@ def start_nodes(
     """Start the processes of nodes; see `NodeSpec.command`.
 
     Raises:
-        GraphError: A package is not built, or a parameter file does not exist.
+        GraphError: A parameter file does not exist.
     """
-    for node in nodes:
-        processes.start(node.name, node.command(namespace, params_file, log_level))
+    for each in nodes:
+        processes.start(each.name, each.command(namespace, params_file, log_level))
 
 
 def run_until(processes: ProcessGroup, seconds: float) -> None:
@@ -231,10 +232,10 @@ def slip(
             f'virtual:{socket}', estimator=estimator, simulated_time=True
         )
         nodes = [
-            NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
+            node('mixtac_sim', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **simulated}),
-            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=simulated),
-            NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
+            node('mixtac_sim', 'virtual_arm', overrides=simulated),
+            node('mixtac_cli', 'supervisor', overrides=supervisor),
             fger,
         ]
         start_nodes(processes, nodes)
@@ -264,7 +265,7 @@ def view(
     seconds: RunTime = 0,
     params_file: ParamsFile = None,
 ) -> None:
-    """Show a running sensor in the browser: events, frame, force, slip, rates."""
+    """Show a running sensor in the browser: events, frame, force, contact, state."""
     require_rerun()
     with ProcessGroup() as processes:
         start_nodes(processes, [live_view(port, save)], namespace, params_file)
