@@ -225,10 +225,11 @@ def run_live(
         ForceCalibrationError: The sensor cannot be calibrated by what was seen.
         GraphError: A node failed.
     """
-    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets.
+    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
+    # forces that are not valid count, as in a recording: loads reveal wrong ones.
     estimator: dict[str, Any] = {'model': str(model.resolve()), 'assume_free': True}
     estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
-    estimator |= {'invalid_force': 'withhold', 'tare_on_release': False}
+    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
     # A virtual sensor on a slow host takes longer rather than losing events.
     virtual = {'slow_host': 'wait'}
     nodes = sensor_graph(device, estimator=estimator, virtual_sensor=virtual)
@@ -345,7 +346,7 @@ class LiveProcedure:
             return found if stretch.seconds >= HOLD_S else None
 
         found = self._wait(f'{load.grams:g} g', kind, plateau)
-        self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N', highlight=False)
+        self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N')
         return found
 
     def _off(self, plateaus: list[Plateau], under: Plateau, rest: Stretch, kind: Kind) -> Stretch:
