@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import typer
@@ -47,12 +46,12 @@ def image_message(types, image, stamp_ns, encoding='mono16'):
     )
 
 
-def write_bag(path, images, topic=TOPIC):
+def write_bag(path, images, topic=TOPIC, period_ns=PERIOD_NS):
     store = typestore()
     writer = BagWriter(path)
     connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', latched=False)
     for index, image in enumerate(images):
-        stamp = 10**9 + index * PERIOD_NS
+        stamp = 10**9 + index * period_ns
         message = image_message(store.types, image, stamp)
         data = store.serialize_cdr(message, 'sensor_msgs/msg/Image')
         writer.write(connection, stamp, bytes(data))
@@ -78,10 +77,9 @@ def run_cli(*arguments):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
-def test_a_bag_gives_a_camera_file_and_a_figure(tmp_path, bag):
+def test_a_bag_gives_a_camera_file(tmp_path, bag):
     result = run_cli(
         *(bag, '--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml'),
-        *('--figure', tmp_path / 'calibration.png'),
         *('--json', tmp_path / 'result.json'),
     )
     assert result.exit_code == 0, result.output
@@ -97,9 +95,6 @@ def test_a_bag_gives_a_camera_file_and_a_figure(tmp_path, bag):
     assert summary['images'] == 19
     assert summary['boards'] >= 13
     assert summary['views'] > 8
-    figure = cv2.imread(str(tmp_path / 'calibration.png'))
-    assert figure.shape[0] > 300
-    assert figure.std() > 10
     assert str(summary['boards']) in result.output
 
 
@@ -136,20 +131,17 @@ def test_wrong_options_are_named_before_anything_is_read(change, value):
 
 def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
     with pytest.raises(RecordingError) as caught:
-        list(bag_images(bag, '/other', 0.0))
+        list(bag_images(bag, '/other'))
     assert '/other' in str(caught.value)
     with pytest.raises(RecordingError) as caught:
-        list(bag_images(tmp_path / 'none', TOPIC, 0.0))
+        list(bag_images(tmp_path / 'none', TOPIC))
     assert str(tmp_path / 'none') in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4), (1e-320, 1)]
-)
-def test_a_recording_is_thinned_out(bag, rate, count):
-    labels = [label for label, _ in bag_images(bag, TOPIC, rate)]
-    assert len(labels) == count
-    assert labels[0] == '1.000'
+def test_a_recording_is_thinned_out(tmp_path, frames):
+    bag = write_bag(tmp_path / 'fast', frames[:8], period_ns=PERIOD_NS // 4)
+    labels = [label for label, _ in bag_images(bag, TOPIC)]
+    assert labels == ['1.000', '1.200']
 
 
 def raw(encoding, pixels, **change):

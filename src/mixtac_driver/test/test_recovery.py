@@ -98,13 +98,6 @@ def test_many_writes_at_once_are_never_repeated():
     assert len(device.asked) == 1
 
 
-def test_other_failures_are_not_repeated():
-    device = Device(USBError('stall', -9, errno.EPIPE), b'\0\0\0\7')
-    with pytest.raises(StallError):
-        Protocol(device).read(6, 0)
-    assert len(device.asked) == 1
-
-
 @pytest.mark.parametrize(
     ('serial', 'preferred', 'got'),
     [('B', 'A', 'B'), ('', 'A', 'A'), ('', 'B', 'B'), ('', 'C', None), ('C', 'A', None)],

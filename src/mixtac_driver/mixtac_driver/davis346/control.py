@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.model import Features, Identity
-from mixtac_driver.davis346.registers import BLOCKS, Aps, Dvs, Module, Mux
+from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux, SystemInfo
 from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
     APS_REGION,
@@ -400,7 +400,8 @@ class CameraControl:
         with self._lock:
             writer = self._attached()
             addresses = [*map(_address, register_writes(self.parameters, writer.identity))]
-            addresses += [(module, number) for module, kind in BLOCKS.items() for number in kind]
+            described = ((Module.DVS, Dvs), (Module.APS, Aps), (Module.SYSTEM_INFO, SystemInfo))
+            addresses += [(module, number) for module, kind in described for number in kind]
             read = writer.protocol.read
             return {f'{int(m)}:{int(p)}': read(m, p) for m, p in sorted(set(addresses))}
 
