@@ -70,10 +70,10 @@ MAX_CODE_LINES = 400
 CEILINGS = {
     'mixtac_events': 1384,
     'mixtac_node': 1681,
-    'mixtac_description': 90,
+    'mixtac_description': 60,
     'mixtac_recordings': 3534,
     'mixtac_alignment': 1699,
-    'mixtac_driver': 5483,
+    'mixtac_driver': 4930,
     'mixtac_fger': 5579,
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
