@@ -319,16 +319,6 @@ class CameraControl:
                 self._writer.change(self._settings, wanted)
             self._settings = wanted
 
-    def keep(self, parameters: CameraParameters, pixel_filter: PixelFilter = ()) -> None:
-        """Take settings for when the camera is opened again; nothing is written.
-
-        Args:
-            parameters: Settings.
-            pixel_filter: Pixels whose events the camera drops, most important first.
-        """
-        with self._lock:
-            self._settings = parameters, pixel_filter
-
     def set_exposure(self, exposure_us: int) -> bool:
         """Change only the exposure [us]; for control loops, because it never waits.
 
