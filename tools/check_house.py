@@ -69,17 +69,17 @@ NOT_ON_ROBOTS = ('torch', 'matplotlib', 'mixtac_sim')
 MAX_CODE_LINES = 400
 CEILINGS = {
     'mixtac_events': 1384,
-    'mixtac_node': 1681,
+    'mixtac_node': 1660,
     'mixtac_description': 90,
     'mixtac_recordings': 3534,
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
     'mixtac_fger': 5579,
-    'mixtac_sim': 8070,
+    'mixtac_sim': 7950,
     'mixtac_slip_control': 2334,
     'mixtac': 445,
     'mixtac_learning': 4285,
-    'mixtac_cli': 4536,
+    'mixtac_cli': 4370,
     'mixtac_lab': 2644,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""

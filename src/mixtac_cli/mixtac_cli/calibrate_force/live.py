@@ -120,9 +120,7 @@ class LiveProcedure:
             'invalid_force': 'withhold',
             'tare_on_release': False,
         }
-        # A virtual sensor on a slow host takes longer rather than losing events.
-        virtual = {'slow_host': 'wait'}
-        nodes = sensor_graph(self._device, estimator=estimator, virtual_sensor=virtual)
+        nodes = sensor_graph(self._device, estimator=estimator)
         self._console.print('starting the sensor; a first start compiles for some minutes')
         with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
             start_nodes(processes, nodes, self._namespace, params_file, 'warn')
@@ -264,11 +262,9 @@ class LiveProcedure:
         """Let the virtual sensor press with a load while a force pulls it aside."""
         if not self._drives:
             return
-        check, direction = self._processes.check, float(np.degrees(np.angle(WAYS[way])))
-        settings = {'press_force': press.force_n, 'hold_seconds': 0.0}
-        settings |= {'pull_force': pull_n, 'pull_direction': direction}
-        self._monitor.set_parameters('virtual_sensor', settings, check)
-        self._monitor.trigger('virtual_sensor/pull', check)
+        direction = float(np.degrees(np.angle(WAYS[way])))
+        load = {'force': press.force_n, 'pull': pull_n, 'pull_direction': direction, 'hold': 0.0}
+        self._monitor.touch('pull', self._processes.check, **load)
 
     def _put(
         self,
@@ -290,10 +286,7 @@ class LiveProcedure:
         if loose:
             self._touch(load, 0.0, '+x')
         elif self._drives:
-            settings = {'press_force': load.force_n, 'hold_seconds': 0.0}
-            check = self._processes.check
-            self._monitor.set_parameters('virtual_sensor', settings, check)
-            self._monitor.trigger('virtual_sensor/press', check)
+            self._monitor.touch('press', self._processes.check, force=load.force_n, hold=0.0)
         # Half way between the two is neither.
         most = float('inf')
         if previous is not None:
@@ -325,7 +318,7 @@ class LiveProcedure:
         """Prompt to release the sensor and return the zero afterwards."""
         self._console.print('Take it off, and do not touch the sensor.')
         if self._drives:
-            self._monitor.trigger('virtual_sensor/release', self._processes.check)
+            self._monitor.touch('release', self._processes.check)
         zero = self._session.zeros[-1]
         refused = [zero_lost(zero.mean_n, load.mean_n)]
 

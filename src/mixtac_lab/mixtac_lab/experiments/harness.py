@@ -34,7 +34,7 @@ from mixtac_lab.store import Piece, Store
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import Metrics, measure, peak_error
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import simulator_digest
+from mixtac_sim.world.plans import simulator_digest
 
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045

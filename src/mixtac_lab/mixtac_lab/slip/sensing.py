@@ -32,7 +32,7 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_recordings.messages import left_aligned
 from mixtac_sim.world.gestures import PULLED_G
-from mixtac_sim.world.training_trials import TrialSpec, simulate
+from mixtac_sim.world.plans import TrialSpec, simulate
 
 if TYPE_CHECKING:
     from mixtac_events.arrays import Events

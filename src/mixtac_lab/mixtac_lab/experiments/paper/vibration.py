@@ -38,9 +38,9 @@ from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.effects import preset as named_preset
+from mixtac_sim.world.plans import simulator_digest
 from mixtac_sim.world.segments import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
-from mixtac_sim.world.training_trials import simulator_digest
 
 PRESSED, TAPPING = 'pressed', 'tapping'
 DEPTH_MM = 0.6
