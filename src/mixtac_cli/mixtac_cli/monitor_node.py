@@ -32,6 +32,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
+from mixtac_msgs.srv import Touch
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, starting
 from mixtac_node.graph import NodeSpec
@@ -176,7 +177,24 @@ class Monitor(Receiver):
         Raises:
             GraphError: It is absent or refuses.
         """
-        reply = self._call(Trigger, service, Trigger.Request(), alive)
+        self._request(Trigger, service, Trigger.Request(), alive)
+
+    def touch(self, gesture: str, alive: Callable[[], None], **values: float) -> None:
+        """Touch the virtual sensor; before `listen` or while listening.
+
+        Args:
+            gesture: As in `mixtac_msgs/srv/Touch`.
+            alive: Called while waiting; raises when a process has ended.
+            **values: Fields of that request; those that are absent have their defaults.
+
+        Raises:
+            GraphError: The sensor is absent or refuses.
+        """
+        request = Touch.Request(gesture=gesture, **values)
+        self._request(Touch, 'virtual_sensor/touch', request, alive)
+
+    def _request(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> None:  # noqa: ANN401
+        reply = self._call(kind, service, request, alive)
         if not reply.success:
             raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 

@@ -35,7 +35,7 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     processes = module_node_under_test
     with Monitor('mixtac', 120) as monitor:
         # A slow host is no matter of this test: by default, time that it cannot simulate is a gap.
-        given = {'scenario': 'idle', 'slow_host': 'wait'}
+        given = {'scenario': 'idle'}
         nodes = sensor_graph('virtual', virtual_sensor=given)
         processes.start_nodes(nodes, 'mixtac')
         monitor.bring_up('fger', processes)

@@ -13,7 +13,6 @@ import xml.etree.ElementTree as ET
 from functools import partial
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -21,6 +20,7 @@ from std_msgs.msg import String
 
 from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import BaseNode, run
+from mixtac_node.share import share
 from mixtac_node.topics import frame_prefix
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -43,8 +43,7 @@ class FramesNode(BaseNode, Node):  # type: ignore[misc]
             raise DescriptionError(
                 'tf2_msgs is not installed', remedy='install ROS 2: the wheels do not have it'
             ) from error
-        share = share('mixtac_description')
-        macro = share / 'urdf' / 'fingertip.urdf.xacro'
+        macro = share('mixtac_description') / 'urdf' / 'fingertip.urdf.xacro'
         urdf = fingertip_urdf(macro, frame_prefix(self.get_namespace()))
         frames = fixed_frames(urdf)
         for frame in frames:

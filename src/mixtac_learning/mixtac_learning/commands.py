@@ -20,7 +20,7 @@ from mixtac_learning.train.config import (
 )
 from mixtac_node.files import writable
 from mixtac_node.topics import REFERENCE
-from mixtac_sim.world.training_trials import TRAINING_PRESET
+from mixtac_sim.world.plans import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
 OptionalPath = Optional[Path]  # noqa: UP045

@@ -35,9 +35,9 @@ from mixtac_learning.train.paper_stage import PaperTraining
 from mixtac_learning.train.run import Trained, judge_trained, run_training, train_model
 from mixtac_learning.trials.bags import BagSource
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import TRUTH_DTYPE
-from mixtac_sim.world.training_trials import TrialSpec
 
 
 @pytest.fixture

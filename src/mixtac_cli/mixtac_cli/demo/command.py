@@ -16,7 +16,7 @@ from rich.console import Console
 
 from mixtac_cli.calibrate_force.session import LiveProcedure
 from mixtac_cli.demo.evaluation import WINDOW_NS
-from mixtac_cli.demo.live_table import PERIOD_S, LiveTable
+from mixtac_cli.demo.live_table import LiveTable
 from mixtac_cli.demo.report import BAG, PRESET, Run, evaluate, print_summary
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
@@ -121,7 +121,6 @@ def _run_graph(
         'play_on_start': False,
         'loop': False,
         'lead_seconds': LEAD_S,
-        'slow_host': 'wait',
     }
     # A blow saturates the sensor for an instant, and its peak is to be seen.
     estimator = {'invalid_force': 'publish'}
@@ -133,7 +132,7 @@ def _run_graph(
         'imu_acc_enabled': False,
         'imu_gyro_enabled': False,
         'imu_temp_enabled': False,
-        # While the host computes, the camera sends nothing.
+        # While the host is behind, the camera sends nothing.
         'stream_timeout': 600.0,
     }
     sensor = sensor_graph(
@@ -153,7 +152,7 @@ def _run_graph(
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         lost_s = _lost_s(monitor)
-        _compute_scenario(console, processes, monitor)
+        _play(processes, monitor)
         time.sleep(CLOCK_S)
         computed_s = _lost_s(monitor) - lost_s
         first, pairs = monitor.force_count, len(monitor.clock_pairs())
@@ -196,25 +195,19 @@ def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> f
     except ForceCalibrationError as error:
         # As on a host that is too busy; what follows is worth showing all the same.
         console.print(f'not calibrated: {error}', soft_wrap=True)
-        monitor.trigger('virtual_sensor/release', processes.check)
+        monitor.touch('release', processes.check)
         return 1.0
     monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
     console.print(f'gain {calibration.gain:.3f}', highlight=False)
     return calibration.gain
 
 
-def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monitor) -> None:
-    """Start the scenario; return when it is computed."""
+def _play(processes: ProcessGroup, monitor: Monitor) -> None:
+    """Start the scenario."""
     monitor.trigger('virtual_sensor/play', processes.check)
     while int(monitor.values('virtual_sensor').get('plays', 0)) < 1:
         time.sleep(0.1)
         processes.check()
-    with console.status('computing the scenario') as status:
-        while (values := monitor.values('virtual_sensor')).get('computing') == 'True':
-            done_s = float(values['ahead_us']) / 1e6
-            status.update(f'computing the scenario: {done_s:.0f} s are ready')
-            time.sleep(PERIOD_S)
-            processes.check()
 
 
 def _lost_s(monitor: Monitor) -> float:

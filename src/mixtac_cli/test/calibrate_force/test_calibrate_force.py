@@ -313,13 +313,12 @@ class Operated:
     def set_parameters(self, _node, values, _check):
         self.asked |= values
 
+    def touch(self, gesture, _check, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
+        assert (hold, pull_direction) == (0.0, 0.0)
+        self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
+
     def trigger(self, service, _check):
-        press = self.asked.get('press_force', 0.0)
-        self.load = {
-            'virtual_sensor/press': (press, 0.0, 0.0),
-            'virtual_sensor/pull': (press, self.asked.get('pull_force', 0.0), 0.0),
-            'virtual_sensor/release': (0.0, 0.0, 0.0),
-        }.get(service, self.load)
+        """Nothing changes at a tare."""
 
     @property
     def force_count(self):

@@ -29,7 +29,7 @@ from mixtac_learning.experiments.report import Outcome
 from mixtac_learning.experiments.sizes import Sizes
 from mixtac_learning.experiments.store import Piece, compute
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import simulator_digest
+from mixtac_sim.world.plans import simulator_digest
 
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045

@@ -32,7 +32,7 @@ from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, build, one_cycle, operations_per_cycle
 from mixtac_learning.train.config import OURS
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_sim.world.plans import TrialSpec
 
 PARAMETERS = 0.517e6
 """Parameters of the paper's network."""

@@ -77,8 +77,8 @@ from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays, TrialSource
 from mixtac_node.files import write_json, write_text
-from mixtac_sim.world import training_trials as generation
-from mixtac_sim.world.training_trials import TrialSpec, session_plan
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec, session_plan
 
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""

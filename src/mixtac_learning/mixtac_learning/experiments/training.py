@@ -45,7 +45,7 @@ from mixtac_learning.trials.store import CachedSource, Recipe, prepare
 from mixtac_learning.trials.trial import TrialSource
 from mixtac_recordings.bag import fit_path
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import TrialSpec, training_plan
+from mixtac_sim.world.plans import TrialSpec, training_plan
 
 
 class Model(NamedTuple):
@@ -75,7 +75,7 @@ Estimates = dict[str, dict[int, list[TrialEstimate]]]
 """Estimates by model and seed."""
 PROFILES = tuple(JUDGED)
 FIRST_DATA_SEED = 40
-"""Data seeds of `mixtac_sim.world.training_trials`; other ones than those of shipped models."""
+"""Data seeds of `mixtac_sim.world.plans`; other ones than those of shipped models."""
 FIRST_TEST = 830_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 SHARE_TESTED = 5

@@ -35,7 +35,7 @@ from mixtac_learning.trials.trial import DatasetError, TrialSource
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag import distinct_names
-from mixtac_sim.world.training_trials import (
+from mixtac_sim.world.plans import (
     TRAINING_PRESET,
     TrialSpec,
     calibration_plan,

@@ -37,8 +37,8 @@ from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import prepare
 from mixtac_learning.trials.trial import TrialSource, sensor_of
 from mixtac_node.files import write_json
-from mixtac_sim.world import training_trials as generation
-from mixtac_sim.world.training_trials import (
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import (
     TRAINING_PROFILES,
     session_plan,
     training_plan,

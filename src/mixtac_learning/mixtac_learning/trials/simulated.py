@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from mixtac_learning.trials.trial import AcrossLabel, TrialArrays, aligned_force, true_force
-from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import truth_wrench
-from mixtac_sim.world.training_trials import TrialSpec
 from mixtac_sim.world.trial import Trial
 
 

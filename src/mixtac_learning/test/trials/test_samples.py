@@ -17,7 +17,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, aligned_force, true_force
-from mixtac_sim.world.training_trials import evaluation_plan, training_plan, unseen_devices
+from mixtac_sim.world.plans import evaluation_plan, training_plan, unseen_devices
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):

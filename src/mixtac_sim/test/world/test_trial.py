@@ -9,7 +9,7 @@ import numpy as np
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world import training_trials
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.training_trials import session_plan
+from mixtac_sim.world.plans import session_plan
 from mixtac_sim.world.trial import TrialStream, simulate_trial
 
 
