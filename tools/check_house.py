@@ -77,7 +77,7 @@ CEILINGS = {
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
     'mixtac': 445,
-    'mixtac_learning': 6330,
+    'mixtac_learning': 6140,
     'mixtac_cli': 4536,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""
