@@ -136,7 +136,7 @@ def evaluate(
     json: JsonFile = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
-    from mixtac_learning.judge.evaluation import run_evaluation
+    from mixtac_learning.judge.report import run_evaluation
 
     run_evaluation(
         find_model(model),

@@ -34,7 +34,7 @@ from mixtac_fger.force_calibration import (
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.judge.estimators import TrialEstimate, stream
-from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_recordings.messages import left_aligned
 from mixtac_sim.arm import (
     READY,

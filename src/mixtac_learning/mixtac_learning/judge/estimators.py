@@ -29,8 +29,7 @@ from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
 from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
-from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample
-from mixtac_learning.paper.segments import run_samples
+from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample, run_samples
 from mixtac_learning.trials.trial import (
     DatasetError,
     TrialArrays,
