@@ -13,7 +13,6 @@ import signal
 import sys
 import tempfile
 import time
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest import mock
@@ -184,10 +183,9 @@ class NodeUnderTest:
     def start_nodes(self, nodes: Iterable[NodeSpec], namespace: str) -> None:
         """Start the processes of a graph, as their executables would."""
         for each in nodes:
-            path, *arguments = each.command(namespace)
-            (script,) = entry_points(group='console_scripts', name=Path(path).name)
-            made = NodeProcess(self._server, script.module, *arguments, function=script.attr)
-            self._processes.append(made)
+            command = each.command(namespace)
+            arguments = command[command.index(each.module) + 1 :]
+            self._processes.append(NodeProcess(self._server, each.module, *arguments))
 
     def check(self) -> None:
         """Fail if a process has ended."""

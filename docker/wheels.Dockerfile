@@ -10,10 +10,10 @@ FROM debian:${DEBIAN_TAG} AS build
 # Debian's archive keeps only the newest build of a package: the tag above is what is pinned.
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends build-essential cmake make python3-dev python3-venv \
+    && apt-get install -y --no-install-recommends build-essential make python3-dev python3-venv \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /opt/mixtac
-COPY requirements/ requirements/
+COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY tools/ tools/
 COPY compat/ compat/
 COPY config/ config/

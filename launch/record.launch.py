@@ -7,6 +7,7 @@ recorded. After the checks of `mixtac record --check`, the bag is written by `ro
 is installed, otherwise by the recorder of Mixtac. Ctrl-C closes the bag.
 """
 
+import sys
 import tempfile
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
-from mixtac_node.graph import executable, recorder, rosbag2_qos
+from mixtac_node.graph import recorder, rosbag2_qos
 from mixtac_node.launch_actions import BOOLEAN, environment, node_actions, shared_arguments, value
 from mixtac_node.process import GraphError
 from mixtac_node.topics import REFERENCE
@@ -106,7 +107,7 @@ def _recorder(context):
 
 def _check(context):
     """Return the process that checks."""
-    command = [str(executable('mixtac_cli', 'mixtac')), 'record', value(context, 'output')]
+    command = [sys.executable, '-m', 'mixtac_cli', 'record', value(context, 'output')]
     command += ['--check', '--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     if value(context, 'device') and not value(context, 'start_after'):

@@ -7,9 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip(
-    'lerobot', reason='pip install -r integrations/lerobot_camera_mixtac/requirements.txt'
-)
+pytest.importorskip('lerobot', reason='docs/python.md says how')
 pytest.importorskip('lerobot_camera_mixtac', reason='the plugin is not installed')
 
 from lerobot.cameras.configs import CameraConfig

@@ -60,7 +60,7 @@ def test_a_missing_compiler_names_its_package(tool, monkeypatch):
     monkeypatch.setattr('setup_checks.shutil.which', lambda _name: None)
     with pytest.raises(tool.SetupError) as caught:
         tool.check_system()
-    for package in ('build-essential', 'cmake', 'make'):
+    for package in ('build-essential', 'make'):
         assert package in str(caught.value).split()
 
 
@@ -148,13 +148,12 @@ def test_uv_has_index_and_certificates_of_pip_which_installs_where_uv_cannot(
     monkeypatch.delenv('SSL_CERT_FILE', raising=False)
     monkeypatch.setenv('PIP_CERT', "/it's/there.pem")
     monkeypatch.setenv('PIP_INDEX_URL', 'https://mirror.example/simple?a=b')
-    venv, files = Path(sys.prefix), [tmp_path / 'base.txt']
-    tool.install_files(venv, files)
+    venv = Path(sys.prefix)
+    tool.install_packages(venv, ['numpy'])
     assert told['SSL_CERT_FILE'] == "/it's/there.pem"
     assert told['UV_DEFAULT_INDEX'] == 'https://mirror.example/simple?a=b'
     assert told['PATH'] == os.environ['PATH']
-    assert calls[-1][:4] == tool.pip_install(venv)[:4]
-    assert calls[-1][-2:] == ['-r', str(files[0])]
+    assert calls[-1][:-2] == [*tool.pip_install(venv), 'numpy']
 
 
 def test_a_damaged_record_starts_over(tool, tmp_path):
@@ -163,24 +162,32 @@ def test_a_damaged_record_starts_over(tool, tmp_path):
     assert not tool.Steps(record).is_done('install', 'a')
 
 
-def test_stale_paths_of_the_wheels_are_repaired(tool, tmp_path, monkeypatch):
+def test_robots_get_what_nodes_need_and_optional_parts_are_added(tool):
+    full, robot = tool.requirements(['view'], robot=False), tool.requirements([], robot=True)
+    assert set(robot) < set(full)
+    left = {each.partition('>')[0] for each in set(full) - set(robot)}
+    assert left == {*tool.NOT_ON_ROBOTS, 'rerun-sdk'}
+
+
+def test_an_installation_that_was_interrupted_is_made_anew(tool, monkeypatch, tmp_path):
     monkeypatch.setattr(tool, 'ROOT', tmp_path)
-    monkeypatch.setattr('setup_steps.ROOT', tmp_path)
-    (tmp_path / 'requirements').mkdir()
-    (tmp_path / 'requirements' / 'ros-jazzy-wheels.txt').write_text('x\n')
-    venv = tmp_path / '.venv'
-    site = venv / 'lib' / 'python3.11' / 'site-packages'
-    site.mkdir(parents=True)
-    share = venv / 'share' / 'msgs' / 'cmake'
-    share.mkdir(parents=True)
-    version = f'{tool.sys.version_info[0]}{tool.sys.version_info[1]}'
-    dotted = f'{tool.sys.version_info[0]}.{tool.sys.version_info[1]}'
-    base = f'/opt/python/cp{version}-cp{version}'
-    export = share / 'export.cmake'
-    export.write_text(f'a {base}/include/python{dotted} b {base}/lib/python{dotted}/site-packages')
-    tool.repair_wheels(venv, tool.Steps(venv / 'record.json'))
-    assert '/opt/python' not in export.read_text()
-    assert str(site) in export.read_text()
+    for name in ('check_place', 'check_system', 'build_messages', 'compile_kernels'):
+        monkeypatch.setattr(tool, name, lambda *_, **__: None)
+    monkeypatch.setattr(tool, 'full_ros', lambda: '')
+    monkeypatch.setattr(tool, 'fingerprint', lambda *_: 'same')
+    monkeypatch.setattr(tool, 'requirements', lambda *_, **__: [])
+    monkeypatch.setattr(tool, 'make_venv', lambda venv, **_: venv.mkdir())
+
+    def interrupted(*_):
+        (tmp_path / '.venv' / 'half').touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tool, 'install_packages', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tool.set_up(robot=False, extras=[])
+    monkeypatch.setattr(tool, 'install_packages', lambda *_: None)
+    tool.set_up(robot=False, extras=[])
+    assert not (tmp_path / '.venv' / 'half').exists()
 
 
 def test_in_the_clone_of_another_user_nothing_is_written(tool, monkeypatch, tmp_path, capsys):

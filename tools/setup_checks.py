@@ -63,8 +63,6 @@ def check_system() -> None:
         missing['make'] = 'make'
     if not (shutil.which('cc') and shutil.which('c++')):
         missing['a C and C++ compiler'] = 'build-essential'
-    if not shutil.which('cmake'):
-        missing['cmake'] = 'cmake'
     if not (Path(sysconfig.get_paths()['include']) / 'Python.h').exists():
         missing['the Python headers'] = 'python3-dev'
     if subprocess.run(

@@ -44,12 +44,11 @@ def graph(module_node_under_test: Any) -> Any:
     """Return a node of the test's own that sees both nodes, in another namespace than usual."""
     test = module_node_under_test
     alignment = NodeSpec(
-        'mixtac_alignment',
-        'alignment_node',
+        'mixtac_alignment.alignment_node',
         'alignment',
         overrides={'reference_topic': REFERENCE},
     )
-    force_error = NodeSpec('mixtac_alignment', 'force_error_node', 'force_error')
+    force_error = NodeSpec('mixtac_alignment.force_error_node', 'force_error')
     test.start_nodes([alignment, force_error], NAMESPACE)
     test.spin_until(lambda: set(test.node.get_node_names()) >= set(PUBLISHED))
     for owner in PUBLISHED:

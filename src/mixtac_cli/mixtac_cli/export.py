@@ -23,18 +23,32 @@ from mixtac_recordings.bag_writer import repair as repair_bag
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.export import Counts, export_recording
 from mixtac_recordings.importing import TableOptions, import_recording
-from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError, Selection
+from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    DamagedRecordingError,
+    RecordingError,
+    Selection,
+)
 from mixtac_recordings.summary import summarise
 
 EventsOf = Annotated[
-    str, typer.Option('--events', help='Topic or stream of events, of several; none for none.')
+    str,
+    typer.Option(
+        '--events',
+        help='Topic of events, where there are several; camera of an AEDAT4 file; group of an HDF5'
+        ' file. none leaves events out.',
+    ),
 ]
-ImageOf = Annotated[str, typer.Option('--image', help='Topic or stream of frames, likewise.')]
-ImuOf = Annotated[str, typer.Option('--imu', help='Topic or stream of inertial samples, likewise.')]
+ImageOf = Annotated[str, typer.Option('--image', help='Topic of frames; none leaves them out.')]
+ImuOf = Annotated[
+    str, typer.Option('--imu', help='Topic of inertial samples; none leaves them out.')
+]
 
 
 def export(
-    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
+    recording: Annotated[
+        Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')
+    ],
     to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
     events: EventsOf = '',
@@ -73,8 +87,8 @@ def import_(
     source: Annotated[
         Path,
         typer.Argument(
-            help='Camera data: .csv, .npz, .h5, .aedat4, a bag, or a folder that `mixtac export`'
-            ' wrote.'
+            help='Camera data: .csv, .npz, .h5, .aedat4, .bag, a bag, or a folder that'
+            ' `mixtac export` wrote.'
         ),
     ],
     out: Annotated[Path, typer.Option(help='Folder of the new bag.')],
@@ -88,13 +102,13 @@ def import_(
     time_unit: Annotated[
         str,
         typer.Option(
-            help='Unit of camera times where no heading gives it: ns, us, ms or s; empty: us, of'
+            help='Unit of camera times where the file states none: ns, us, ms or s; empty: us, of'
             ' whole numbers.'
         ),
     ] = '',
     force_unit: Annotated[
         str,
-        typer.Option(help='Unit of the times of forces where no heading gives it; empty: s.'),
+        typer.Option(help='Unit of the times of forces where the file states none; empty: s.'),
     ] = '',
     size: Annotated[
         str, typer.Option(help='Size of the camera, for example 346x260; empty: by its frames.')
@@ -123,7 +137,12 @@ def import_(
         )
     wrenches = counts.wrenches.get(REFERENCE, 0)
     figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
+    seconds = 1e-6 * counts.length_us
+    size = '{} x {}'.format(*counts.size)
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
+    console.print(
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, {size} pixels'
+    )
     if same_clock and wrenches:
         console.print(f'clock fit: {write_fit(_one_clock(), out)}')
     elif wrenches:
@@ -154,7 +173,7 @@ def _one_clock() -> ClockFit:
 
 
 def inspect(
-    bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
+    bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')],
 ) -> None:
     """List the topics of a recording, read all of it, decode the events and count lost packets.
 
@@ -182,19 +201,18 @@ def inspect(
 
 
 def repair(
-    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
-    out: Annotated[Path, typer.Option(help='New folder for the repaired recording.')],
+    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap or .db3.')],
+    out: Annotated[Path, typer.Option(help='New folder for the repaired bag.')],
 ) -> None:
-    """Write what is whole of a damaged recording as a new one, and say what is missing.
+    """Write what is whole of a damaged bag as a new one, and report what is missing.
 
-    Bags become MCAP with an index, checksums and metadata.yaml; AEDAT4 files stay AEDAT4.
+    The new bag is in MCAP with an index, checksums and metadata.yaml.
     """
     console = Console(markup=False)
     if recording.suffix.lower() == AEDAT4_SUFFIX:
-        counts = export_recording(recording, 'aedat4', out, whole=True)
-        console.print(f'{out}: {counts.events} events, {counts.frames} frames')
-        _warn(console, counts)
-        return
+        raise RecordingError(
+            f'{recording} is no bag', remedy='open it in DV and save what it reads'
+        )
     repaired = repair_bag(recording, out)
     console.print(f'{out}: {sum(repaired.counts.values())} messages')
     for topic, count in sorted(repaired.counts.items()):

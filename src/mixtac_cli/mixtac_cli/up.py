@@ -28,6 +28,7 @@ from mixtac_node.graph import (
     NodeSpec,
     is_virtual,
     live_view,
+    node,
     recorder,
     sensor_graph,
     slip_control,
@@ -52,16 +53,16 @@ def start_nodes(
     The driver of a virtual camera starts once that listens; else it reports a missing camera.
 
     Raises:
-        GraphError: A package is not built, a parameter file does not exist, or a process has ended.
+        GraphError: A parameter file does not exist, or a process has ended.
     """
-    for node in sorted(nodes, key=lambda each: each.name == 'driver'):
-        device = str(node.overrides.get('device', ''))
-        if node.name == 'driver' and is_virtual(device):
+    for each in sorted(nodes, key=lambda node: node.name == 'driver'):
+        device = str(each.overrides.get('device', ''))
+        if each.name == 'driver' and is_virtual(device):
             from mixtac_sim.usb.wire import default_socket_path  # not installed on robots
 
             while not Path(device.partition(':')[2] or default_socket_path()).exists():
                 run_until(processes, POLL_S)
-        processes.start(node.name, node.command(namespace, params_file, log_level))
+        processes.start(each.name, each.command(namespace, params_file, log_level))
 
 
 def run_until(processes: ProcessGroup, seconds: float) -> None:
@@ -246,10 +247,10 @@ def slip(
             simulated_time=True,
         )
         nodes = [
-            NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
+            node('mixtac_sim', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **simulated}),
-            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=simulated),
-            NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
+            node('mixtac_sim', 'virtual_arm', overrides=simulated),
+            node('mixtac_cli', 'supervisor', overrides=supervisor),
             fger,
             driver,
         ]

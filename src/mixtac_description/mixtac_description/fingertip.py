@@ -9,9 +9,8 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import NamedTuple
 
-from ament_index_python.packages import get_package_share_directory
-
 from mixtac_events.errors import MixtacError
+from mixtac_node.share import share
 
 MACRO = '{http://www.ros.org/wiki/xacro}macro'
 PREFIX = '${prefix}'
@@ -39,8 +38,7 @@ class FixedFrame(NamedTuple):
 
 def urdf_file() -> Path:
     """Return the path of the installed macro."""
-    share = Path(get_package_share_directory('mixtac_description'))
-    return share / 'urdf' / 'fingertip.urdf.xacro'
+    return share('mixtac_description') / 'urdf' / 'fingertip.urdf.xacro'
 
 
 def fingertip_urdf(prefix: str = '', path: Path | None = None) -> str:

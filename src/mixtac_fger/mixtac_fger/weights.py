@@ -9,7 +9,6 @@ the configuration, where the training data came from, and figures on data that w
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import ModelError
 from mixtac_node.files import replacing, write_text
+from mixtac_node.share import share
 
 Tensors = Mapping[str, NDArray[Any]]
 """Arrays by name."""
@@ -30,13 +30,7 @@ SUFFIX = '.safetensors'
 
 def shipped_models() -> Path:
     """Return the folder of the models that come with the package."""
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        return Path(get_package_share_directory('mixtac_fger')) / 'models'
-    except (ImportError, LookupError, OSError):  # no ROS, or none that knows this package
-        here = Path(__file__).resolve().parents[1] / 'models'
-        return here if here.is_dir() else Path(sys.prefix) / 'share' / 'mixtac_fger' / 'models'
+    return share('mixtac_fger') / 'models'
 
 
 def find_model(name: str) -> Path:

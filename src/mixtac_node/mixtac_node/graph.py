@@ -7,18 +7,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import (
-    PackageNotFoundError,
-    get_package_prefix,
-    get_package_share_directory,
-)
-
 from mixtac_node.process import GraphError
+from mixtac_node.share import share
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
 
 
@@ -27,20 +23,28 @@ class NodeSpec:
     """One node process.
 
     Attributes:
-        package: Package that installs the executable.
-        executable: Name of the executable, which ends in `_node`.
+        module: Module whose `main` runs the node; its last name ends in `_node`.
         name: Node name.
         lifecycle: True if the node waits to be configured and activated.
         required: True if a launch file ends the graph when this process ends.
         overrides: Parameter values that take precedence over the parameter files.
     """
 
-    package: str
-    executable: str
+    module: str
     name: str
     lifecycle: bool = False
     required: bool = False
     overrides: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def package(self) -> str:
+        """Package that installs the executable."""
+        return self.module.partition('.')[0]
+
+    @property
+    def executable(self) -> str:
+        """Name of the executable."""
+        return self.module.rpartition('.')[2]
 
     def parameter_files(self, params_file: Path | None = None) -> list[Path]:
         """Return the parameter files of this process; later ones take precedence.
@@ -88,43 +92,24 @@ class NodeSpec:
             log_level: Lowest severity that the node logs.
 
         Raises:
-            GraphError: The package is not built, or a parameter file does not exist.
+            GraphError: A parameter file does not exist.
         """
         names = ['-r', f'__ns:=/{namespace.strip("/")}', '-r', f'__node:={self.name}']
         return [
-            str(executable(self.package, self.executable)),
+            *(sys.executable, '-m', 'mixtac_node', self.module),
             *self.ros_arguments(params_file, log_level),
             *names,
         ]
-
-
-def executable(package: str, name: str) -> Path:
-    """Return the path of an installed executable.
-
-    Raises:
-        GraphError: The package or executable is not installed.
-    """
-    try:
-        path = Path(get_package_prefix(package)) / 'lib' / package / name
-    except PackageNotFoundError as error:
-        raise GraphError(f'package {package} is not built: run `make setup`') from error
-    if not path.exists():
-        raise GraphError(f'{package} installs no executable {name}: run `make setup`')
-    return path
 
 
 def config_file(name: str) -> Path:
     """Return the path of a shipped configuration file.
 
     Raises:
-        GraphError: mixtac_bringup, which installs these files, is not built.
+        GraphError: mixtac_bringup, which has these files, is not installed.
     """
     # Not in package.xml: mixtac_bringup depends on this package, colcon refuses circles.
-    try:
-        share = get_package_share_directory('mixtac_bringup')
-    except PackageNotFoundError as error:
-        raise GraphError('package mixtac_bringup is not built: run `make setup`') from error
-    return Path(share) / 'config' / name
+    return share('mixtac_bringup') / 'config' / name
 
 
 NO_DRIVER = 'none'
@@ -182,7 +167,7 @@ def sensor_graph(
         own |= virtual_sensor or {}
         nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:
-        nodes.append(node('mixtac_cli', 'view', overrides=follow))
+        nodes.append(node('mixtac_cli.view', 'view', overrides=follow))
     if align:
         nodes += [
             node('mixtac_alignment', 'alignment', overrides={**reference, **follow}),
@@ -192,7 +177,7 @@ def sensor_graph(
         own = {'device': device, **(driver or {})}
         if simulated_time and not is_virtual(device):
             own = {'playback_clock': True, **own}
-        nodes.append(node('mixtac_driver', 'driver', required=True, overrides=own))
+        nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
     elif driver:
         raise GraphError(
             f'{next(iter(driver))} is for a driver, which device {NO_DRIVER} leaves out',
@@ -207,9 +192,9 @@ def sensor_graph(
     return nodes
 
 
-def node(package: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
-    """Return a node whose executable is its name with `_node`; options as of `NodeSpec`."""
-    return NodeSpec(package, f'{name}_node', name, **options)
+def node(where: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
+    """Return the node of the module `<name>_node` of a package; options as of `NodeSpec`."""
+    return NodeSpec(f'{where}.{name}_node', name, **options)
 
 
 def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
@@ -218,13 +203,7 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
     Args:
         overrides: Parameters, such as `arm` and `detector`.
     """
-    return NodeSpec(
-        'mixtac_slip_control',
-        'slip_control_node',
-        'slip_control',
-        required=True,
-        overrides=overrides,
-    )
+    return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
 
 
 def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] = ()) -> NodeSpec:
@@ -240,7 +219,7 @@ def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] =
         overrides['exclude'] = ' '.join(each.name for each in exclude)
     if reference_topic:
         overrides['reference_topic'] = reference_topic
-    return NodeSpec('mixtac_cli', 'recorder_node', 'recorder', overrides=overrides)
+    return node('mixtac_cli.record', 'recorder', overrides=overrides)
 
 
 ROSBAG2_DEPTH = 1000
@@ -279,7 +258,7 @@ def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
     overrides: dict[str, object] = {} if port is None else {'port': port}
     if save is not None:
         overrides['save'] = str(save)
-    return NodeSpec('mixtac_cli', 'view_node', 'view', overrides=overrides)
+    return node('mixtac_cli.view', 'view', overrides=overrides)
 
 
 def yaml_value(value: object) -> str:

@@ -30,6 +30,7 @@ from types import FrameType
 from typing import IO, Any
 
 from mixtac_events.errors import ERROR, MixtacError
+from mixtac_node.share import share
 
 
 class GraphError(MixtacError):
@@ -131,10 +132,7 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
         environment: Environment of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between
             loopback and all interfaces.
     """
-    # Cores that only set priorities run without ROS.
-    from ament_index_python.packages import get_package_share_directory
-
-    folder = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds'
+    folder = share('mixtac_bringup') / 'config' / 'fastdds'
     # A shell may have one of ours from before the range was changed.
     ours = {each.resolve() for each in folder.glob('*.xml')}
     set_ = filter(None, map(environment.get, FASTDDS_VARIABLES))

@@ -1,145 +1,183 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""AEDAT4 files, as DV and dv-processing write them: packets read and written, files as recordings.
+"""AEDAT4 files of one camera, read and written with dv-processing, which is an optional part.
 
-A file is read while it is played. Packets of the streams differ in length, often half a second
-of inertial samples and 10 ms of events: they are cut into short pieces and merged by time. Times
-[us] are those of the file. Field numbers are those of the published schemas of EventPacket, Frame,
-IMUPacket and TriggerPacket.
+Packets of the streams differ in length, often half a second of inertial samples and 10 ms of
+events: they are cut into short pieces and merged by time. Times [us] are those of the file.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import STANDARD_GRAVITY, EdgeKind, Edges, Frame, InertialSamples
-from mixtac_recordings import flatbuffer
-from mixtac_recordings.aedat4_file import EVENT, Aedat4File, StreamInfo
-from mixtac_recordings.flatbuffer import FlatBufferWriter, Octets
-from mixtac_recordings.messages import BIT_SHIFT, left_aligned
+from mixtac_recordings.messages import left_aligned, ten_bits
 from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    NONE,
     DamagedRecordingError,
     Piece,
     ReadCounters,
     RecordingError,
     RecordingInfo,
     Selection,
-    choose,
 )
 
 Readings = TypeVar('Readings', Events, InertialSamples, Edges)
-
 SLICE_US = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""
-_MONO16 = 2
-_FORMATS: dict[int, np.dtype[Any]] = {0: np.dtype(np.uint8), _MONO16: np.dtype('<u2')}
-"""The two monochrome formats by their OpenCV numbers."""
-_TRIGGERS = {
-    EdgeKind.EXTERNAL_RISING: 1,
-    EdgeKind.EXTERNAL_FALLING: 2,
-    EdgeKind.EXTERNAL_PULSE: 3,
-    EdgeKind.GENERATOR_RISING: 4,
-    EdgeKind.GENERATOR_FALLING: 5,
+PACKAGE = 'dv-processing==2.0.4'
+KINDS = ('events', 'image', 'imu', 'triggers')
+"""Kinds of data that are read."""
+_EDGES = {
+    1: EdgeKind.EXTERNAL_RISING,
+    2: EdgeKind.EXTERNAL_FALLING,
+    3: EdgeKind.EXTERNAL_PULSE,
+    4: EdgeKind.GENERATOR_RISING,
+    5: EdgeKind.GENERATOR_FALLING,
 }
-_EDGES = {number: kind for kind, number in _TRIGGERS.items()}
+"""Kinds of edges by their number in `dv.TriggerType`; other triggers are left out."""
+_TRIGGERS = {kind: number for number, kind in _EDGES.items()}
 
 
-def read_events(data: Octets) -> Iterator[Events]:
-    """Return the events of a packet in stretches of at most SLICE_US.
-
-    Raises:
-        DamagedRecordingError: The packet is damaged.
-    """
-    flatbuffer.check(data, 'EVTS')
-    packed = flatbuffer.structs(data, flatbuffer.root(data), 0, EVENT)
-    return _slices(Events(*(packed[name].copy() for name in ('t', 'x', 'y', 'polarity'))))
-
-
-def read_frame(data: Octets) -> Frame:
-    """Return the frame of a packet; 8-bit pixels become the upper bits of 10.
+def load_dv() -> Any:  # noqa: ANN401
+    """Return the module dv_processing.
 
     Raises:
-        DamagedRecordingError: The packet is damaged.
-        RecordingError: Its frame is in colour.
+        RecordingError: It is not installed.
     """
-    flatbuffer.check(data, 'FRME')
-    table = flatbuffer.root(data)
-
-    def number(index: int, dtype: str = '<i8', default: int = 0) -> int:
-        return int(flatbuffer.column(data, table, index, dtype, default)[0])
-
-    image = _pixels(data, number(5, 'i1'), number(6, '<i2'), number(7, '<i2'))
-    stamp_us = number(0)
-    start_us = number(3) or stamp_us
-    end_us = number(4) or start_us + number(11)
-    return Frame(
-        image=image,
-        x=number(8, '<i2'),
-        y=number(9, '<i2'),
-        frame_start_us=number(1) or start_us,
-        exposure_start_us=start_us,
-        exposure_end_us=end_us,
-        frame_end_us=number(2) or end_us,
-        exposure_cycles=end_us - start_us,
-        global_shutter=True,
-    )
-
-
-def read_samples(data: Octets) -> Iterator[InertialSamples]:
-    """Return the inertial samples of a packet in stretches of at most SLICE_US, in SI units.
-
-    Raises:
-        DamagedRecordingError: The packet is damaged.
-    """
-    flatbuffer.check(data, 'IMUS')
-    rows = flatbuffer.tables(data, flatbuffer.root(data), 0)
-    t = flatbuffer.column(data, rows, 0, '<i8', 0).astype(np.int64)
-    columns = [flatbuffer.column(data, rows, index, '<f4', 0.0) for index in range(1, 8)]
-    # Converting signalling NaNs sets a floating-point flag.
-    with np.errstate(invalid='ignore'):
-        temperature, ax, ay, az, wx, wy, wz = np.array(columns).astype(np.float64)
-    acceleration = np.stack((ax, ay, az), 1) * STANDARD_GRAVITY
-    rotation = np.deg2rad(np.stack((wx, wy, wz), 1))
-    return _slices(InertialSamples(t, acceleration, rotation, temperature))
-
-
-def read_edges(data: Octets) -> Iterator[Edges]:
-    """Return the edges of a packet in stretches of at most SLICE_US; other triggers are left out.
-
-    Raises:
-        DamagedRecordingError: The packet is damaged.
-    """
-    flatbuffer.check(data, 'TRIG')
-    rows = flatbuffer.tables(data, flatbuffer.root(data), 0)
-    t = flatbuffer.column(data, rows, 0, '<i8', 0).astype(np.int64)
-    recorded = flatbuffer.column(data, rows, 1, 'i1', 0)
-    known = np.isin(recorded, list(_EDGES))
-    kinds = np.array([_EDGES[int(each)] for each in recorded[known]], np.uint8)
-    return _slices(Edges(t[known], kinds))
-
-
-def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.uint16]:
-    if number not in _FORMATS:
+    try:
+        import dv_processing
+    except ImportError as error:
         raise RecordingError(
-            f'frames have OpenCV format {number}, not 8 or 16 bits of one channel',
-            remedy='set playback_image_topic to none',
+            f'AEDAT4 files need dv-processing, which is not installed ({error})',
+            remedy=f'pip install {PACKAGE}, or python3 tools/setup.py --with aedat4',
+        ) from error
+    return dv_processing
+
+
+class Aedat4Recording:
+    """An AEDAT4 file.
+
+    Args:
+        path: The file.
+        selection: `NONE` leaves a kind of data out; another name for `events` is that of the
+            camera to read, of several.
+
+    Attributes:
+        info: Its description.
+        counters: Losses found so far.
+
+    Raises:
+        RecordingError: dv-processing is missing, or there is no such camera.
+        DamagedRecordingError: The file cannot be read, or holds no data of a camera.
+    """
+
+    def __init__(self, path: Path, selection: Selection | None = None) -> None:
+        selection = selection or Selection()
+        if path.suffix != AEDAT4_SUFFIX:
+            raise RecordingError(
+                f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
+            )
+        dv, camera = load_dv(), '' if selection.events == NONE else selection.events
+        self.counters = ReadCounters()
+        self._path = path
+        try:
+            arguments = (str(path), camera) if camera else (str(path),)
+            self._file = dv.io.MonoCameraRecording(*arguments)
+            wanted = (selection.events, selection.image, selection.imu, '')
+            there = (
+                self._file.isEventStreamAvailable(),
+                self._file.isFrameStreamAvailable(),
+                self._file.isImuStreamAvailable(),
+                self._file.isTriggerStreamAvailable(),
+            )
+            found = zip(KINDS, wanted, there, strict=True)
+            self._kinds = [kind for kind, name, has in found if has and name != NONE]
+            sized = self._file.getEventResolution() or self._file.getFrameResolution()
+            start_us, end_us = self._file.getTimeRange()
+        except RuntimeError as error:
+            raise self._damaged(error) from error
+        if not set(self._kinds) - {'triggers'} or not sized:
+            raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
+        if start_us >= end_us:
+            # A table of packets without times.
+            spans = [(piece.start_us, piece.until_us) for piece in self._merged()]
+            start_us = min((start for start, _ in spans), default=0)
+            end_us = max((until for _, until in spans), default=0)
+        self.info = RecordingInfo(
+            path=path,
+            kind='AEDAT4 file',
+            camera=self._file.getCameraName(),
+            width=int(sized[0]),
+            height=int(sized[1]),
+            color_filter=0,
+            start_us=int(start_us),
+            length_us=int(end_us - start_us),
+            contents=tuple((kind, kind) for kind in self._kinds),
         )
-    dtype = _FORMATS[number]
-    octets = flatbuffer.structs(data, flatbuffer.root(data), 10, np.dtype(np.uint8))
-    if width <= 0 or height <= 0 or len(octets) < width * height * dtype.itemsize:
-        raise DamagedRecordingError(f'{len(octets)} bytes in a frame of {width} x {height}')
-    image = octets[: width * height * dtype.itemsize].view(dtype).reshape(height, width)
-    wide: NDArray[np.uint16] = image.astype(np.uint16)
-    return wide << np.uint16(2) if dtype.itemsize == 1 else wide >> np.uint16(BIT_SHIFT)
+
+    def close(self) -> None:
+        """Close the file."""
+        del self._file
+
+    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+        """Yield what was recorded, merged by time.
+
+        Args:
+            from_us: Time to begin at [us]; earlier pieces may come first.
+
+        Raises:
+            DamagedRecordingError: The file is damaged.
+        """
+        width, height = self.info.width, self.info.height
+        for piece in self._merged():
+            piece.check()
+            outside = (piece.events.x >= width) | (piece.events.y >= height)
+            if outside.any():
+                self.counters.events_outside += int(np.count_nonzero(outside))
+                yield Piece(piece.start_us, piece.until_us, piece.advances, piece.events[~outside])
+            elif piece.until_us >= from_us:
+                yield piece
+
+    def _merged(self) -> Iterator[Piece]:
+        self._file.resetSequentialRead()
+        chosen = [self._stream(*_READERS[kind]) for kind in self._kinds]
+        yield from heapq.merge(*chosen, key=lambda piece: piece.start_us)
+
+    def _stream(self, name: str, pieces: Callable[[Any, bool], Iterator[Piece]]) -> Iterator[Piece]:
+        """Yield the pieces of a stream; `name` is the method that reads its next packet."""
+        following, alone = getattr(self._file, name), 'events' not in self._kinds
+        while True:
+            try:
+                packet = following()
+            except RuntimeError as error:
+                raise self._damaged(error) from error
+            if packet is None:
+                return
+            yield from pieces(packet, alone)
+
+    def _damaged(self, error: Exception) -> DamagedRecordingError:
+        return DamagedRecordingError(
+            f'{self._path} is damaged or not an AEDAT4 file ({_cause(error)})',
+            remedy='copy it again, or open it in DV and save what it reads',
+        )
+
+
+def _cause(error: Exception) -> str:
+    """Return the cause in an error of dv-processing, which lies between a place and a stack."""
+    return (str(error).splitlines() or [''])[:2][-1].partition(' - Error info')[0]
+
+
+def _span(readings: Readings) -> tuple[int, int]:
+    return int(readings.t[0]), int(readings.t[-1])
 
 
 def _slices(readings: Readings) -> Iterator[Readings]:
@@ -150,225 +188,116 @@ def _slices(readings: Readings) -> Iterator[Readings]:
             yield readings[start:stop]
 
 
-_FROM_SENSOR = 1
+def _events(packet: Any, _alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+    rows = packet.numpy()
+    # Signed coordinates: negative ones become large, outside of any sensor.
+    x, y = (rows[name].astype(np.uint16) for name in ('x', 'y'))
+    for each in _slices(Events(rows['timestamp'].astype(np.int64), x, y, rows['polarity'] != 0)):
+        yield Piece(*_span(each), True, events=each)
 
 
-def events_packet(events: Events) -> bytes:
-    """Return the buffer of events."""
-    rows = np.zeros(len(events), EVENT)
-    for name in EVENT.names or ():
-        rows[name] = getattr(events, name)
-    buffer = FlatBufferWriter('EVTS')
-    table, fields = buffer.table({0: ('O', 0)})
-    buffer.refer(fields[0], buffer.vector(len(rows), rows.tobytes()))
-    return buffer.finish(table)
+def _frames(frame: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+    if frame.image.ndim != 2:
+        raise RecordingError('frames are in colour', remedy='leave them out with --image none')
+    start_us = int(frame.timestamp)
+    length_us = round(frame.exposure.total_seconds() * 1e6)
+    end_us = start_us + length_us
+    image, x, y = ten_bits(np.array(frame.image)), frame.positionX, frame.positionY
+    found = Frame(image, x, y, start_us, start_us, end_us, end_us, length_us, global_shutter=True)
+    yield Piece(end_us, end_us, alone, frames=(found,))
 
 
-def frame_packet(frame: Frame) -> bytes:
-    """Return the buffer of a frame: 10 bits left-aligned in 16, as on `image_raw`.
-
-    Its time is the start of the exposure, as in dv-processing.
-    """
-    buffer = FlatBufferWriter('FRME')
-    height, width = frame.image.shape
-    table, fields = buffer.table(
-        {
-            0: ('q', frame.exposure_start_us),
-            1: ('q', frame.frame_start_us),
-            2: ('q', frame.frame_end_us),
-            3: ('q', frame.exposure_start_us),
-            4: ('q', frame.exposure_end_us),
-            5: ('b', _MONO16),
-            6: ('h', width),
-            7: ('h', height),
-            8: ('h', frame.x),
-            9: ('h', frame.y),
-            10: ('O', 0),
-            11: ('q', frame.exposure_end_us - frame.exposure_start_us),
-            12: ('b', _FROM_SENSOR),
-        }
+def _samples(packet: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+    names = [f'{sensor}{axis}' for sensor in ('accelerometer', 'gyroscope') for axis in 'XYZ']
+    rows = [[getattr(each, name) for name in (*names, 'temperature')] for each in packet]
+    table = np.array(rows, np.float64).reshape(-1, 7)
+    samples = InertialSamples(
+        np.array([each.timestamp for each in packet], np.int64),
+        table[:, :3] * STANDARD_GRAVITY,
+        np.deg2rad(table[:, 3:6]),
+        table[:, 6],
     )
-    pixels = left_aligned(frame.image).astype('<u2').tobytes()
-    buffer.refer(fields[10], buffer.vector(len(pixels), pixels))
-    return buffer.finish(table)
+    for each in _slices(samples):
+        yield Piece(*_span(each), alone, imu=each)
 
 
-def samples_packet(samples: InertialSamples) -> bytes:
-    """Return the buffer of inertial samples, in g, degrees per second and degrees Celsius."""
-    acceleration = (samples.acceleration / STANDARD_GRAVITY).tolist()
-    rotation = np.rad2deg(samples.angular_velocity).tolist()
-    rows: list[dict[int, tuple[str, float]]] = []
-    for index, t_us in enumerate(samples.t.tolist()):
-        values = (float(samples.temperature[index]), *acceleration[index], *rotation[index])
-        row: dict[int, tuple[str, float]] = {0: ('q', t_us)}
-        row |= {1 + number: ('f', value) for number, value in enumerate(values)}
-        rows.append(row)
-    return flatbuffer.tables_buffer('IMUS', rows, len(rows))
+def _edges(packet: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+    pairs = [(each.timestamp, _EDGES.get(int(each.type))) for each in packet]
+    known = [(t, kind) for t, kind in pairs if kind is not None]
+    times, kinds = (np.array([each[n] for each in known]) for n in (0, 1))
+    for each in _slices(Edges(times.astype(np.int64), kinds.astype(np.uint8))):
+        yield Piece(*_span(each), alone, edges=each)
 
 
-def edges_packet(edges: Edges) -> bytes:
-    """Return the buffer of edges at the synchronisation connector."""
-    kinds = [_TRIGGERS[EdgeKind(int(kind))] for kind in edges.kind]
-    rows = zip(edges.t.tolist(), kinds, strict=True)
-    return flatbuffer.tables_buffer(
-        'TRIG', ({0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows), len(kinds)
-    )
+_READERS: dict[str, tuple[str, Callable[[Any, bool], Iterator[Piece]]]] = {
+    'events': ('getNextEventBatch', _events),
+    'image': ('getNextFrame', _frames),
+    'imu': ('getNextImuBatch', _samples),
+    'triggers': ('getNextTriggerBatch', _edges),
+}
+"""Method of dv-processing that reads the next packet of a stream, and what makes pieces of it."""
 
 
-_KINDS = {'EVTS': 'events', 'FRME': 'image', 'IMUS': 'imu', 'TRIG': 'triggers'}
-
-
-class Aedat4Recording:
-    """An AEDAT4 file.
+class Aedat4Writer:
+    """A new AEDAT4 file, compressed with LZ4. The format cannot hold forces.
 
     Args:
-        path: The file.
-        selection: Which of its streams to read; None for the only one of each kind. Triggers of the
-            camera that the events are from are always read.
-        whole: Leave out packets that are damaged, instead of failing.
-
-    Attributes:
-        info: Its description; its damage grows with each packet that is left out.
-        counters: Losses found so far.
+        path: The new file.
+        info: Description of the recording: camera and size.
 
     Raises:
-        RecordingError: It cannot be read, is empty, or the choice is ambiguous.
+        RecordingError: dv-processing is missing, or the file cannot be made.
     """
 
-    def __init__(
-        self, path: Path, selection: Selection | None = None, *, whole: bool = False
-    ) -> None:
-        self.counters = ReadCounters()
-        self._path, self._whole = path, whole
-        self._file = Aedat4File(path)
+    def __init__(self, path: Path, info: RecordingInfo) -> None:
+        self._dv = load_dv()
+        size = (info.width, info.height)
+        config = self._dv.io.MonoCameraWriter.Config(info.camera or 'camera')
+        config.addEventStream(size)
+        config.addFrameStream(size)
+        config.addImuStream()
+        config.addTriggerStream()
         try:
-            self._chosen = self._choose(selection or Selection())
-            index = self._file.index()
-            self._packets = {
-                s.identifier: index[index['stream'] == s.number] for s in self._chosen.values()
-            }
-            self._packets = {name: each for name, each in self._packets.items() if len(each)}
-            self.info = self._info()
-        except RecordingError:
-            self.close()
-            raise
+            self._file = self._dv.io.MonoCameraWriter(str(path), config)
+        except RuntimeError as error:
+            raise RecordingError(f'cannot write {path}: {_cause(error)}') from error
+
+    def events(self, events: Events) -> None:
+        """Write events, sorted by time."""
+        store = self._dv.EventStore()
+        columns = (events.t, events.x, events.y, events.polarity)
+        for event in zip(*(each.tolist() for each in columns), strict=True):
+            store.push_back(*event)
+        self._file.writeEvents(store)
+
+    def frame(self, frame: Frame) -> None:
+        """Write a frame: 10 bits left-aligned in 16, as on `image_raw`."""
+        start_us, image = frame.exposure_start_us, left_aligned(frame.image)
+        exposure_us = frame.exposure_end_us - start_us
+        source = self._dv.FrameSource.SENSOR
+        self._file.writeFrame(
+            self._dv.Frame(start_us, exposure_us, frame.x, frame.y, image, source)
+        )
+
+    def samples(self, samples: InertialSamples) -> None:
+        """Write inertial samples, in g, degrees per second and degrees Celsius."""
+        table = np.column_stack(
+            [
+                samples.temperature,
+                samples.acceleration / STANDARD_GRAVITY,
+                np.rad2deg(samples.angular_velocity),
+                np.zeros((len(samples.t), 3)),
+            ]
+        )
+        for t_us, row in zip(samples.t.tolist(), table.tolist(), strict=True):
+            self._file.writeImu(self._dv.IMU(t_us, *row))
+
+    def edges(self, edges: Edges) -> None:
+        """Write edges at the synchronisation connector."""
+        for t_us, kind in zip(edges.t.tolist(), edges.kind.tolist(), strict=True):
+            trigger = self._dv.TriggerType(_TRIGGERS[EdgeKind(kind)])
+            self._file.writeTrigger(self._dv.Trigger(t_us, trigger))
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield what was recorded, merged by time.
-
-        Args:
-            from_us: Time to begin at [us]; earlier pieces may come first.
-
-        Raises:
-            RecordingError: The file is damaged, and `whole` was not asked for.
-        """
-        readers: dict[str, Callable[[Octets], Iterator[Piece]]] = {
-            'EVTS': self._events,
-            'FRME': self._frames,
-            'IMUS': self._samples,
-            'TRIG': self._edges,
-        }
-        streams = [
-            self._stream(packets[packets['end_us'] >= from_us], readers[identifier])
-            for identifier, packets in self._packets.items()
-        ]
-        yield from heapq.merge(*streams, key=lambda piece: piece.start_us)
-
-    def _stream(
-        self, packets: NDArray[Any], reader: Callable[[Octets], Iterator[Piece]]
-    ) -> Iterator[Piece]:
-        for packet in packets:
-            try:
-                pieces = list(reader(self._file.packet(packet)))
-                for piece in pieces:
-                    piece.check()
-            except DamagedRecordingError as error:
-                if not self._whole:
-                    raise self._file.damaged(str(error)) from error
-                self._file.leave_out(int(packet['offset']), error)
-                self.info = replace(self.info, damage=self._file.damage)
-            except RecordingError as error:
-                raise RecordingError(f'{self._path}: {error}') from error
-            else:
-                yield from pieces
-
-    def _events(self, data: Octets) -> Iterator[Piece]:
-        for events in read_events(data):
-            inside = (events.x < self.info.width) & (events.y < self.info.height)
-            self.counters.events_outside += int(np.count_nonzero(~inside))
-            start_us, until_us = int(events.t[0]), int(events.t[-1])
-            kept = events if inside.all() else events[inside]
-            yield Piece(start_us, until_us, advances=True, events=kept)
-
-    def _frames(self, data: Octets) -> Iterator[Piece]:
-        frame = read_frame(data)
-        t_us = frame.exposure_end_us
-        yield Piece(t_us, t_us, advances=self._alone, frames=(frame,))
-
-    def _samples(self, data: Octets) -> Iterator[Piece]:
-        for imu in read_samples(data):
-            yield Piece(int(imu.t[0]), int(imu.t[-1]), advances=self._alone, imu=imu)
-
-    def _edges(self, data: Octets) -> Iterator[Piece]:
-        for edges in read_edges(data):
-            yield Piece(int(edges.t[0]), int(edges.t[-1]), advances=self._alone, edges=edges)
-
-    @property
-    def _alone(self) -> bool:
-        return 'EVTS' not in self._packets
-
-    def _choose(self, selection: Selection) -> dict[str, StreamInfo]:
-        wanted = {
-            'EVTS': selection.events,
-            'FRME': selection.image,
-            'IMUS': selection.imu,
-        }
-        chosen: dict[str, StreamInfo] = {}
-        for identifier, name in wanted.items():
-            streams = [s for s in self._file.streams if s.identifier == identifier]
-            if not name and 'EVTS' in chosen:
-                source = chosen['EVTS'].source
-                streams = [s for s in streams if s.source == source] or streams
-            kind, found = _KINDS[identifier], {s.name: s for s in streams}
-            if len(found) < len(streams):
-                # Of several cameras, as they usually call their streams.
-                found = {f'{s.name} of {s.source}': s for s in streams}
-            taken = choose(list(found), name, kind=kind, path=self._path)
-            if taken is not None:
-                chosen[identifier] = found[taken]
-        if 'EVTS' in chosen:
-            for stream in self._file.streams:
-                if (stream.identifier, stream.source) == ('TRIG', chosen['EVTS'].source):
-                    chosen['TRIG'] = stream
-        return chosen
-
-    def _info(self) -> RecordingInfo:
-        if not self._packets:
-            raise RecordingError(
-                f'{self._path} holds no events, frames or inertial samples'
-                + (f': {self._file.damage}' if self._file.damage else '')
-            )
-        every = list(self._packets.values())
-        first = self._packets.get('EVTS')
-        starts = [int(each['start_us'].min()) for each in every]
-        start_us = int(first['start_us'][0]) if first is not None else min(starts)
-        camera = next(iter(self._chosen.values()))
-        sized = [s for s in self._chosen.values() if s.width and s.height]
-        if not sized:
-            raise RecordingError(f'{self._path} does not give the size of its camera')
-        return RecordingInfo(
-            path=self._path,
-            kind='AEDAT4 file',
-            camera=camera.source,
-            width=sized[0].width,
-            height=sized[0].height,
-            color_filter=0,
-            start_us=start_us,
-            length_us=max(int(each['end_us'].max()) for each in every) - start_us,
-            contents=tuple((_KINDS[key], self._chosen[key].name) for key in self._packets),
-            damage=self._file.damage,
-        )
+        """Finish the file."""
+        del self._file

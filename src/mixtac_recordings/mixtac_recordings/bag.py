@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reading rosbag2 bags (a folder, .mcap or .db3) and the message types in them, without rclpy.
+"""Reading bags of ROS 2 (a folder, .mcap or .db3) and ROS 1 (.bag) without rclpy, and their types.
 
-A bag that was not closed, because its recorder was killed or the disk was full, is read as far as
-its files are whole (`mixtac_recordings.recovery`).
+An MCAP file that was cut off or damaged is read as far as it is whole
+(`mixtac_recordings.mcap_file`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import functools
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -24,20 +24,16 @@ from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
 from mixtac_node.files import FileError, read_data
+from mixtac_node.share import share
 from mixtac_node.stamps import stamp_to_ns
+from mixtac_recordings.mcap_file import McapFile
 from mixtac_recordings.recording import (
     BAG_SUFFIXES,
+    ROS1_SUFFIX,
     DamagedRecordingError,
     RecordingError,
-    expand,
-)
-from mixtac_recordings.recovery import (
-    PACKED_SUFFIX,
-    recovered,
-    shortened,
-    temporary_folder,
-    unfinished,
-    unpack,
+    not_a_recording,
+    reason,
 )
 
 _OWN_TYPES = sorted(
@@ -55,25 +51,13 @@ def typestore() -> Typestore:
     """Return Jazzy's standard types and those of the workspace, from their installed definitions.
 
     Raises:
-        RecordingError: The packages that define them are not installed.
+        ShareError: The packages that define them are not installed.
     """
-    try:
-        from ament_index_python.packages import get_package_share_directory
-    except ImportError as error:
-        raise RecordingError(
-            f'bags cannot be read without the index of packages ({error})',
-            remedy='source the workspace',
-        ) from error
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in _OWN_TYPES:
         package, _, message = name.split('/')
-        try:
-            share = Path(get_package_share_directory(package))
-        except LookupError as error:
-            raise RecordingError(
-                f'bags cannot be read without {package}', remedy='source the workspace'
-            ) from error
-        store.register(get_types_from_msg((share / 'msg' / f'{message}.msg').read_text(), name))
+        text = (share(package) / 'msg' / f'{message}.msg').read_text()
+        store.register(get_types_from_msg(text, name))
     return store
 
 
@@ -103,40 +87,37 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
 
 _RENAMED = {'event_array_msgs/msg/EventArray': topics.EVENTS.type_name}
 """Former names of message types whose fields are the same."""
-_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-"""First bytes of a message that is compressed by itself; those of CDR are 0, 0 or 0, 1."""
 
 
 class BagFile:
     """A bag, open for reading.
 
     Args:
-        path: Folder, .mcap or .db3 file.
-        whole: Read all of every file, without its index, and leave out what is damaged.
+        path: Folder, .mcap, .db3 or .bag file.
 
     Attributes:
         path: As given.
+        is_ros1: Whether messages are serialised as ROS 1 does, instead of in CDR.
         start_ns: When the first message was received [ns, host clock of the recorder].
         duration_ns: From the first to the last message [ns].
         counts: Messages by topic.
         types: Type name by topic; with the encoding of the messages where that is not CDR.
-        damage: What is missing because the bag is incomplete; empty for a sound one.
 
     Raises:
         RecordingError: There is no bag.
         DamagedRecordingError: Nothing of it can be read.
     """
 
-    def __init__(self, path: Path, *, whole: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.damage = ''
-        self._unpacked: TemporaryDirectory[str] | None = None
+        self.is_ros1 = path.suffix.lower() == ROS1_SUFFIX and path.is_file()
         if not path.exists():
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._types = typestore()
-        self._readers: list[Reader] = []
+        self._readers: list[Any] = []
+        self._missing = ''
         try:
-            self._open(whole=whole)
+            self._open()
         except BaseException:
             self.close()
             raise
@@ -148,7 +129,7 @@ class BagFile:
         for connection in self.connections:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
-            form = connection.ext.serialization_format  # type: ignore[union-attr]
+            form = getattr(connection.ext, 'serialization_format', 'cdr')
             kind = _RENAMED.get(connection.msgtype, connection.msgtype)
             self.types[topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
 
@@ -163,19 +144,25 @@ class BagFile:
     def close(self) -> None:
         """Close the files."""
         for reader in self._readers:
-            if reader.is_open:
-                reader.close()
-        if self._unpacked is not None:
-            self._unpacked.cleanup()
+            reader.close()
+        self._readers = []
+
+    @property
+    def damage(self) -> str:
+        """What is missing because the bag is incomplete, as far as it has been read; else empty."""
+        scans = [each for each in self._readers if isinstance(each, McapFile)]
+        notes = [note for scan in scans for _, note in sorted(scan.notes.items())]
+        text = '; '.join(filter(None, (self._missing, *notes)))
+        return f'the bag is incomplete: {text}' if text else ''
 
     @property
     def connections(self) -> list[Connection]:
         """Return the connections of all files of the bag, with type and QoS of each topic."""
         return [connection for reader in self._readers for connection in reader.connections]
 
-    def topics(self, type_name: str) -> list[str]:
-        """Return the topics of a message type that hold any messages, sorted."""
-        return sorted(t for t, kind in self.types.items() if kind == type_name and self.counts[t])
+    def topics(self, *type_names: str) -> list[str]:
+        """Return the topics of some message types that hold any messages, sorted."""
+        return sorted(t for t, kind in self.types.items() if kind in type_names and self.counts[t])
 
     def messages(
         self,
@@ -188,7 +175,7 @@ class BagFile:
         Args:
             wanted: Absolute topic names.
             start_ns: Begin with messages received at this time; None for the first.
-            raw: Topics among `wanted` whose messages stay serialised: `bytes` in CDR.
+            raw: Topics among `wanted` whose messages stay serialised: `bytes`, see `is_ros1`.
 
         Raises:
             RecordingError: A topic was not recorded.
@@ -204,20 +191,20 @@ class BagFile:
             while True:
                 try:
                     connection, received_ns, data = next(messages)
-                    if data[:4] == _ZSTD_MAGIC:
-                        data = expand('zstd', data)
                     message = (
-                        data
-                        if connection.topic in raw
-                        else self._types.deserialize_cdr(
-                            data, _RENAMED.get(connection.msgtype, connection.msgtype)
-                        )
+                        data if connection.topic in raw else self._deserialised(connection, data)
                     )
                 except StopIteration:
                     break
-                except Exception as error:  # as above
+                except Exception as error:  # the parsers raise whatever damage leads them to
                     raise self._damaged(error) from error
                 yield connection.topic, received_ns, message
+
+    def _deserialised(self, connection: Connection, data: bytes) -> Any:  # noqa: ANN401
+        if self.is_ros1:
+            return self._readers[0].deserialize(data, connection.msgtype)
+        kind = _RENAMED.get(connection.msgtype, connection.msgtype)
+        return self._types.deserialize_cdr(data, kind)
 
     def wrenches(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the stamps [n] [ns, the topic's own clock] and forces x, y, z [n, 3] [N]."""
@@ -227,88 +214,80 @@ class BagFile:
             forces.append((*topics.sideways_force(message), topics.normal_force(message)))
         return np.array(stamps, np.int64), np.array(forces, np.float64).reshape(-1, 3)
 
-    def _open(self, *, whole: bool) -> None:
-        """Open the bag by its index or, where that fails, its files one by one."""
-        folder = self.path.is_dir()
-        files = _storage_files(self.path)
+    def _open(self) -> None:
+        """Open the files of the bag, in the order of their first messages."""
+        folder = self.path if self.path.is_dir() else None
+        files = sorted(
+            each for each in (folder.iterdir() if folder else [self.path]) if _is_storage(each)
+        )
+        facts = _facts(folder) if folder else {}
+        if not files:
+            raise not_a_recording(self.path)
+        named = [Path(str(each)).name for each in facts.get('relative_file_paths') or []]
+        lost = sorted(set(named) - {each.name for each in files})
+        self._missing = f'missing files: {", ".join(lost)}' if lost else ''
         cause: Exception | None = None
-        if not (whole or any(map(_needs_more, files))):
-            try:
-                self._readers = [_opened(self.path)]
-            except Exception as error:  # noqa: BLE001  (parsers raise whatever damage leads them to)
-                cause = error
-            else:
-                return
-        notes = [f'{path.name} was not closed' for path in files if unfinished(path)]
-        if folder and not (self.path / 'metadata.yaml').exists():
-            notes.append('metadata.yaml is missing')
-        for path in files:
-            try:
-                notes += self._open_alone(path, whole=whole)
-            except Exception as error:  # noqa: BLE001  (as above)
-                cause = error
-                notes.append(f'{path.name} cannot be read: {_text(error)}')
-        read = sum(reader.message_count for reader in self._readers)
-        if not read and (cause or notes):
-            why = cause or RecordingError('; '.join(notes))
-            raise self._damaged(why) from cause
-        if cause and not notes:
-            notes.append(f'metadata.yaml cannot be used: {_text(cause)}')
-        if notes:
-            self.damage = f'the bag is incomplete ({"; ".join(notes)}): {read} messages can be read'
-
-    def _open_alone(self, path: Path, *, whole: bool) -> list[str]:
-        """Open one file; return what is missing."""
-        note = ''
-        if path.suffix == PACKED_SUFFIX:
-            self._unpacked = self._unpacked or temporary_folder()
-            path = unpack(path, self._unpacked.name)
-        if not (whole or _needs_more(path)):
+        # The library expands what is compressed as a whole or by message, as metadata.yaml says.
+        for path in [folder] if folder and facts.get('compression_mode') else files:
             try:
                 self._readers.append(_opened(path))
-            except Exception as error:  # noqa: BLE001  (as above)
-                note = f'the index of {path.name} cannot be used: {_text(error)}'
-            else:
-                return []
-        reader, damage = recovered(path)
-        self._readers.append(reader)
-        return [text for text in (damage or note,) if text]
+            except Exception as error:  # noqa: BLE001  (as in `messages`)
+                cause = error
+                self._missing += f'; {path.name} cannot be read: {reason(error)}'
+        self._missing = self._missing.removeprefix('; ')
+        if cause is not None and not any(each.message_count for each in self._readers):
+            raise self._damaged(cause) from cause
+        self._readers.sort(key=lambda each: each.start_time)
 
     def _damaged(self, error: Exception) -> DamagedRecordingError:
+        remedy = 'copy it again, or try `mixtac repair`'
+        if isinstance(error, RecordingError) and error.remedy:
+            return DamagedRecordingError(f'{self.path}: {error.message}', remedy=error.remedy)
+        if self.is_ros1:
+            remedy = 'copy it again, or run `rosbag reindex` of ROS 1'
+        elif sqlite := next(
+            iter([self.path] if self.path.suffix == '.db3' else self.path.glob('*.db3')), None
+        ):
+            remedy = f"copy it again, or run: sqlite3 '{sqlite}' .recover | sqlite3 recovered.db3"
         return DamagedRecordingError(
-            f'{self.path} is damaged or not a bag ({_text(error)})',
-            remedy='copy it again, or try `mixtac repair`',
+            f'{self.path} is damaged or not a bag ({reason(error)})', remedy=remedy
         )
 
 
-def _storage_files(path: Path) -> list[Path]:
-    """Return the files of a bag in the order of their numbers, which have no leading zeros."""
-    found = path.glob('*') if path.is_dir() else [path]
-    files = [each for each in found if each.suffix in {*BAG_SUFFIXES, PACKED_SUFFIX}]
-    if not files:
+def _is_storage(path: Path) -> bool:
+    suffixes = {*BAG_SUFFIXES, ROS1_SUFFIX}
+    return path.suffix in suffixes or (
+        path.suffix == '.zstd' and Path(path.stem).suffix in suffixes
+    )
+
+
+def _opened(path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
+    """Open a file of a bag, or the folder of a compressed one."""
+    if path.suffix == '.mcap':
+        return McapFile(path)
+    log = path.with_name(f'{path.name}-wal')
+    if log.exists() and log.stat().st_size:
         raise RecordingError(
-            f'{path} is no bag: there is no .mcap or .db3 file',
-            remedy='give its folder, .mcap or .db3 file; `mixtac import` makes a bag of others',
+            f'{path.name} was not closed: its last messages are in {log.name}',
+            remedy=f"run: sqlite3 '{path}' 'PRAGMA wal_checkpoint(TRUNCATE)'",
         )
-    return sorted(files, key=lambda each: (len(each.name), each.name))
+    reader = AnyReader([path]) if path.suffix.lower() == ROS1_SUFFIX else Reader(path)
+    reader.open()
+    return reader
 
 
-def _needs_more(path: Path) -> bool:
-    """Return whether the library would overlook changes or a cut, or expand a file of any size."""
-    return path.suffix == PACKED_SUFFIX or unfinished(path) or shortened(path)
-
-
-def _text(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__
+def _facts(bag: Path) -> dict[str, Any]:
+    """Return the content of metadata.yaml; empty if it cannot be read."""
+    try:
+        return dict(read_data(bag / 'metadata.yaml')['rosbag2_bagfile_information'])
+    except (FileError, KeyError, TypeError, ValueError):
+        return {}
 
 
 def custom_data(bag: Path) -> dict[str, str]:
     """Return what metadata.yaml says of a bag by keys of its writer; empty if it cannot be read."""
-    try:
-        content = read_data(bag / 'metadata.yaml')['rosbag2_bagfile_information']['custom_data']
-        return {str(key): str(value) for key, value in content.items()}
-    except (FileError, KeyError, TypeError, AttributeError):
-        return {}
+    content = _facts(bag).get('custom_data')
+    return {str(key): str(value) for key, value in content.items()} if content else {}
 
 
 def fit_path(bag: Path) -> Path:
@@ -365,15 +344,3 @@ def _holds_bag(folder: Path) -> bool:
     return (folder / 'metadata.yaml').exists() or any(
         next(folder.glob(f'*{suffix}'), None) for suffix in BAG_SUFFIXES
     )
-
-
-def _opened(path: Path) -> Reader:
-    # The library would expand aliases, and below messages, to any size.
-    if path.is_dir():
-        read_data(path / 'metadata.yaml')
-    reader = Reader(path)
-    reader.open()
-    # `BagFile.messages` expands them.
-    found = reader.storage.metadata
-    reader.storage.metadata = found._replace(compression_mode=None)
-    return reader

@@ -204,7 +204,7 @@ class Repair:
 
     Attributes:
         counts: Messages of the new bag, by topic.
-        damage: What of the old one is missing, empty for nothing.
+        damage: What is missing of the old one, empty for nothing.
     """
 
     counts: dict[str, int]
@@ -224,7 +224,9 @@ def repair(path: Path, out: Path) -> Repair:
     """
     check_new(out)
     counts: dict[str, int] = {}
-    with BagFile(path, whole=True) as bag, new_folder(out) as made, McapBag(made) as writer:
+    with BagFile(path) as bag, new_folder(out) as made, McapBag(made) as writer:
+        if bag.is_ros1:
+            raise RecordingError(f'{path} is a ROS 1 bag', remedy='run `mixtac import` on it')
         writer.custom_data.update(custom_data(path))
         handles = {}
         for connection in bag.connections:
@@ -233,7 +235,7 @@ def repair(path: Path, out: Path) -> Repair:
         for topic, received_ns, data in bag.messages(*handles, raw=handles):
             writer.write(handles[topic], received_ns, data)
             counts[topic] = counts.get(topic, 0) + 1
-    return Repair(counts, bag.damage)
+        return Repair(counts, bag.damage)
 
 
 def offered_qos(*, latched: bool) -> Qos:

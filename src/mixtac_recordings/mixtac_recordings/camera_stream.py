@@ -9,6 +9,7 @@ first event packet and its events, which is correct to within the transport dela
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +25,11 @@ from mixtac_node.stamps import stamp_to_us
 from mixtac_recordings import messages as convert
 from mixtac_recordings.aedat4 import Aedat4Recording
 from mixtac_recordings.bag import BagFile
+from mixtac_recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
 from mixtac_recordings.recording import (
     AEDAT4_SUFFIX,
     BAG_SUFFIXES,
+    ROS1_SUFFIX,
     Piece,
     ReadCounters,
     Recording,
@@ -34,6 +37,7 @@ from mixtac_recordings.recording import (
     RecordingInfo,
     Selection,
     choose,
+    not_a_recording,
 )
 
 PATIENCE = 20
@@ -42,31 +46,31 @@ PATIENCE = 20
 
 OTHER_CLOCK_US = 60_000_000
 """Event times that differ by more than this from the stamp of their packet are on another clock."""
-MARGIN_NS = 2_000_000_000
+MARGIN_NS = 10_000_000_000
+"""Time before the expected reception at which reading begins after a jump: clocks drift [ns]."""
 
 
 class BagRecording:
-    """A rosbag2 bag.
+    """A bag of ROS 2 or ROS 1.
 
     Args:
-        path: Folder, or one .mcap or .db3 file.
+        path: Folder, or one .mcap, .db3 or .bag file.
         selection: Which of its topics to read; None for the only one of each kind.
-        whole: As in `BagFile`.
 
     Attributes:
-        info: Its description.
         counters: Losses found so far.
 
     Raises:
         RecordingError: It cannot be read, holds no camera data, or the choice is ambiguous.
     """
 
-    def __init__(
-        self, path: Path, selection: Selection | None = None, *, whole: bool = False
-    ) -> None:
+    def __init__(self, path: Path, selection: Selection | None = None) -> None:
         self.counters = ReadCounters()
         self._path = path
-        self._bag = BagFile(path, whole=whole)
+        self._bag = BagFile(path)
+        self._arrays = False
+        self._temperatures: str | None = None
+        self._celsius = (0, math.nan)
         self._unreadable: dict[str, str] = {}
         self._decoder = StreamDecoder()
         self._seekable = True
@@ -74,10 +78,17 @@ class BagRecording:
             self._choose(selection or Selection())
             self._offset_us = 0
             self._corner = (0, 0)
-            self.info = self._inspect()
+            self._info = self._inspect()
         except RecordingError:
             self.close()
             raise
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Description; its damage is what has been found so far."""
+        unreadable = [f'{topic} is left out: {why}' for topic, why in self._unreadable.items()]
+        damage = '; '.join(filter(None, (self._bag.damage, *unreadable)))
+        return replace(self._info, damage=damage)
 
     def close(self) -> None:
         """Close the files."""
@@ -93,14 +104,15 @@ class BagRecording:
             RecordingError: The bag is damaged, or a packet is in an unknown encoding.
         """
         counter = SequenceCounter()
-        named = (self._events, self._images, self._imu, self._exposures, self._edges)
+        named = [self._events, self._images, self._imu, self._exposures, self._edges]
+        named.append(self._temperatures)
         chosen = [topic for topic in named if topic]
         start_ns = self._received_before(from_us)
         self._decoder = StreamDecoder()
         # A frame waits for the message with its exposure, at most PATIENCE messages.
         held: Piece | None = None
         passed = 0
-        for topic, _, message in self._bag.messages(*chosen, start_ns=start_ns):
+        for topic, _, message in self._messages(*chosen, start_ns=start_ns):
             if topic == self._exposures:
                 if held is not None and (exposed := self._exposed(held, message)):
                     yield exposed
@@ -124,6 +136,15 @@ class BagRecording:
         if held is not None:
             yield held
 
+    def _messages(self, *wanted: str, start_ns: int | None = None) -> Any:  # noqa: ANN401
+        """Yield the messages of some topics, event arrays of ROS 1 decoded; note temperatures."""
+        raw = {topic for topic in wanted if self._arrays and topic == self._events}
+        for topic, received_ns, message in self._bag.messages(*wanted, start_ns=start_ns, raw=raw):
+            if topic == self._temperatures:
+                self._celsius = stamp_to_us(message.header.stamp), float(message.temperature)
+            else:
+                yield topic, received_ns, read_event_array(message) if topic in raw else message
+
     def _exposed(self, piece: Piece, message: Any) -> Piece | None:  # noqa: ANN401
         """Return the piece of a frame with the times of its exposure; None for another frame's."""
         (frame,) = piece.frames
@@ -135,7 +156,9 @@ class BagRecording:
     def _choose(self, selection: Selection) -> None:
         path = self._path
         events = self._readable(topics.EVENTS.type_name, selection.events, _check_packet)
+        events += self._bag.topics(*EVENT_ARRAYS) if self._bag.is_ros1 else []
         self._events = choose(events, selection.events, kind='events', path=path)
+        self._arrays = self._bag.types.get(self._events or '') in EVENT_ARRAYS
         beside = self._events or ''
         images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
@@ -143,6 +166,9 @@ class BagRecording:
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
         self._exposures = self._beside(topics.IMAGE_EXPOSURE.type_name, self._images)
         self._edges = self._beside(topics.EXTERNAL_EDGES.type_name, self._events)
+        self._temperatures = self._beside(
+            topics.TEMPERATURE.type_name, self._events or self._images
+        )
         # Frames set the pace if there are no events, inertial samples if there is neither.
         self._leader = self._events or self._images or self._imu
         if self._leader is None:
@@ -177,28 +203,26 @@ class BagRecording:
     def _inspect(self) -> RecordingInfo:
         first = self._first(self._leader)
         size = self._first_info()
+        start_us = _stamp_us(first)
         if self._events:
-            for _, _, first in self._bag.messages(self._events):
+            for _, _, first in self._messages(self._events):
                 start_us = self._piece(self._events, first).start_us
                 if self._decoder.timed:
                     break
-            apart_us = stamp_to_us(first.header.stamp) - start_us
+            apart_us = _stamp_us(first) - start_us
             self._offset_us = apart_us if self._on_host_clock(start_us, apart_us) else 0
             size = (int(first.width), int(first.height))
             # Times roll over every 17 s: they are known only from the beginning on.
-            self._seekable = first.encoding != EVT3
-        else:
-            start_us = stamp_to_us(first.header.stamp)
+            self._seekable = self._arrays or first.encoding != EVT3
         color_filter = 0
         if self._images:
             image = self._first(self._images)
             color_filter = convert.color_filter(image.encoding, *self._corner)
             size = size or (int(image.width), int(image.height))
-        unreadable = [f'{topic} is left out: {why}' for topic, why in self._unreadable.items()]
         names = (('events', self._events), ('image', self._images), ('imu', self._imu))
         return RecordingInfo(
             path=self._path,
-            kind='rosbag2 bag',
+            kind='ROS 1 bag' if self._bag.is_ros1 else 'rosbag2 bag',
             camera=self._serial(),
             width=size[0] if size else 0,
             height=size[1] if size else 0,
@@ -206,7 +230,6 @@ class BagRecording:
             start_us=start_us,
             length_us=self._bag.duration_ns // 1000,
             contents=tuple((kind, topic) for kind, topic in names if topic),
-            damage='; '.join(filter(None, (self._bag.damage, *unreadable))),
         )
 
     def _first_info(self) -> tuple[int, int] | None:
@@ -231,27 +254,21 @@ class BagRecording:
         return found[0] if found and topic else None
 
     def _first(self, topic: str | None) -> Any:  # noqa: ANN401
-        for _, _, message in self._bag.messages(topic or ''):
+        for _, _, message in self._messages(topic or ''):
             return message
         raise RecordingError(f'{self._path} has no messages on {topic}')
 
     def _received_before(self, from_us: int) -> int | None:
         """Return a time of reception before all data after a camera time; None for the start."""
-        if from_us <= self.info.start_us or not self._seekable:
+        start_us = self._info.start_us
+        start_ns = self._bag.start_ns + 1000 * (from_us - start_us) - MARGIN_NS
+        if not self._seekable or start_ns <= self._bag.start_ns:
             return None
-        margin_ns = MARGIN_NS
-        while True:
-            elapsed_ns = (from_us - self.info.start_us) * 1000
-            start_ns = self._bag.start_ns + elapsed_ns - margin_ns
-            if start_ns <= self._bag.start_ns:
-                return None
-            for _, _, message in self._bag.messages(self._leader or '', start_ns=start_ns):
-                found_us = self._piece(self._leader or '', message).start_us
-                if self.info.start_us - RESTART_US <= found_us <= from_us:
-                    return start_ns
-                break
-            # The clocks drifted apart, or there was a long pause: begin earlier.
-            margin_ns *= 4
+        for _, _, message in self._messages(self._leader or '', start_ns=start_ns):
+            found_us = self._piece(self._leader or '', message).start_us
+            # Elsewhere where the clocks drifted apart, or after a long pause.
+            return start_ns if start_us - RESTART_US <= found_us <= from_us else None
+        return None
 
     def _piece(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
         try:
@@ -262,6 +279,12 @@ class BagRecording:
         return piece
 
     def _converted(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
+        if isinstance(message, EventArray):
+            self.counters.events_outside += message.outside
+            self.counters.events_unsorted += message.unsorted
+            t = message.events.t
+            times = (int(t[0]), int(t[-1])) if len(t) else (message.stamp_us, message.stamp_us)
+            return Piece(*times, advances=True, events=message.events)
         if topic == self._events:
             packet = self._decoder.decode(message)
             return Piece(
@@ -269,7 +292,11 @@ class BagRecording:
             )
         advances = topic == self._leader
         if topic == self._imu:
-            imu = convert.read_samples(message, offset_us=self._offset_us)
+            stamp_us, celsius = self._celsius
+            known = stamp_us == stamp_to_us(message.header.stamp)
+            imu = convert.read_samples(
+                message, offset_us=self._offset_us, celsius=celsius if known else math.nan
+            )
             t_us = int(imu.t[0])
             return Piece(t_us, t_us, advances=advances, imu=imu)
         if topic == self._edges:
@@ -280,6 +307,12 @@ class BagRecording:
         return Piece(frame.middle_us, frame.middle_us, advances=advances, frames=(frame,))
 
 
+def _stamp_us(message: Any) -> int:  # noqa: ANN401
+    if isinstance(message, EventArray):
+        return message.stamp_us
+    return stamp_to_us(message.header.stamp)
+
+
 def _check_packet(message: Any) -> None:  # noqa: ANN401
     if message.encoding not in READABLE:
         raise RecordingError(
@@ -287,25 +320,21 @@ def _check_packet(message: Any) -> None:  # noqa: ANN401
         )
 
 
-def open_recording(
-    path: Path, selection: Selection | None = None, *, whole: bool = False
-) -> Recording:
+def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     """Open a recording.
 
     Args:
-        path: An .aedat4, .mcap or .db3 file, or the folder of a bag.
+        path: An .aedat4, .mcap, .db3 or .bag file, or the folder of a bag.
         selection: Which of its topics to read; None for the only one of each kind.
-        whole: Leave out what is damaged, instead of failing, and note it in `info.damage`.
 
     Raises:
         RecordingError: There is none, it cannot be read, is empty, or the choice is ambiguous.
     """
     path = path.expanduser()
-    remedy = 'give an .aedat4, .mcap or .db3 file or the folder of a bag'
     if not path.exists():
-        raise RecordingError(f'no recording at {path}', remedy=remedy)
+        raise RecordingError(f'no recording at {path}', remedy='check the path')
     if path.suffix.lower() == AEDAT4_SUFFIX:
-        return Aedat4Recording(path, selection, whole=whole)
-    if path.is_dir() or path.suffix in BAG_SUFFIXES:
-        return BagRecording(path, selection, whole=whole)
-    raise RecordingError(f'{path} is not a recording', remedy=remedy)
+        return Aedat4Recording(path, selection)
+    if path.is_dir() or path.suffix.lower() in {*BAG_SUFFIXES, ROS1_SUFFIX}:
+        return BagRecording(path, selection)
+    raise not_a_recording(path)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as AEDAT4, CSV, HDF5 or NPZ, in one pass per kind of data, in constant memory."""
+"""Recordings as AEDAT4, CSV, HDF5 or NPZ, in one pass; only NPZ is held in memory."""
 
 from __future__ import annotations
 
@@ -19,27 +19,33 @@ from mixtac_events.readings import InertialSamples
 from mixtac_node.files import new_folder
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_node.topics import REFERENCE_WRENCH
+from mixtac_recordings.aedat4 import Aedat4Writer
 from mixtac_recordings.bag import BagFile
-from mixtac_recordings.camera_stream import open_recording
+from mixtac_recordings.camera_stream import BagRecording, open_recording
 from mixtac_recordings.recording import (
-    AEDAT4_SUFFIX,
     ReadCounters,
     Recording,
     RecordingError,
+    RecordingInfo,
     Selection,
 )
-from mixtac_recordings.sinks import (
-    Aedat4Sink,
-    CsvSink,
-    Hdf5Sink,
-    NpzSink,
-    TableSink,
-    load_h5py,
-)
+from mixtac_recordings.writers import CsvWriter, Hdf5Writer, NpzWriter, TableWriter
 
-FORMATS = ('aedat4', 'csv', 'hdf5', 'npz')
-PACKET_US = 10_000
-"""Length of the packets of an AEDAT4 file, as DV writes those of events."""
+AEDAT4_FILE = 'recording.aedat4'
+Writer = Aedat4Writer | TableWriter
+WRITERS: dict[str, Callable[[Path, RecordingInfo], Writer]] = {
+    'aedat4': lambda folder, info: Aedat4Writer(folder / AEDAT4_FILE, info),
+    'csv': lambda folder, _: CsvWriter(folder),
+    'hdf5': lambda folder, _: Hdf5Writer(folder),
+    'npz': lambda folder, _: NpzWriter(folder),
+}
+"""Formats of an export, by the name of `--to`: what makes the writer of a folder."""
+ROWS = 1 << 14
+"""Readings that are written at once."""
+LEAST_HZ = 10.0
+"""Fewer events per second than the noise of any event camera [1/s]."""
+MOST_HZ = 1e8
+"""More events per second than any event camera sends [1/s]."""
 WRENCHES = 1000
 """Wrenches that are read at once."""
 
@@ -57,6 +63,7 @@ class Counts:
         size: Width and height of the camera.
         damage: What of the recording is missing; empty for a sound one.
         lost: Events and packets that the recording lacks, or that were left out.
+        length_us: From the first to the last time [us]; known after an import.
         forces_replaced: Whether forces were left out for those of another file.
     """
 
@@ -68,6 +75,7 @@ class Counts:
     size: tuple[int, int] = (0, 0)
     damage: str = ''
     lost: ReadCounters = field(default_factory=ReadCounters)
+    length_us: int = 0
     forces_replaced: bool = False
 
     def warnings(self) -> list[str]:
@@ -80,6 +88,13 @@ class Counts:
             found.append(
                 f'{self.lost.events_outside} events outside of {width} x {height} pixels left out'
             )
+        if self.lost.events_unsorted:
+            found.append(
+                f'{self.lost.events_unsorted} events out of order in their message, sorted'
+            )
+        rate_hz = self.events / (1e-6 * self.length_us) if self.length_us else 0.0
+        if self.events and self.length_us and not LEAST_HZ < rate_hz < MOST_HZ:
+            found.append(f'{rate_hz:.3g} events per second: check the unit of their times')
         if self.forces_replaced:
             found.append('the forces of the recording are left out for those of the other file')
         return found
@@ -91,64 +106,45 @@ def export_recording(
     out: Path,
     progress: Callable[[float], None] = lambda _done: None,
     selection: Selection | None = None,
-    *,
-    whole: bool = False,
 ) -> Counts:
-    """Write a recording in another format, in constant memory, whole or not at all.
+    """Write a recording in another format, whole or not at all.
 
     Args:
-        path: Folder of a bag, or an .mcap, .db3 or .aedat4 file.
-        kind: One of `FORMATS`.
+        path: Folder of a bag, or an .mcap, .db3, .bag or .aedat4 file.
+        kind: One of `WRITERS`.
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
         selection: Which of its topics or streams; None for the only one of each kind.
-        whole: As in `open_recording`.
 
     Raises:
         RecordingError: The recording cannot be read, the choice is ambiguous, or the format is
             unknown.
         FileError: The folder exists or cannot be written.
     """
-    if kind not in FORMATS:
+    if kind not in WRITERS:
         raise RecordingError(
-            f'unknown format {kind!r}', remedy=f'choose one of {", ".join(FORMATS)}'
+            f'unknown format {kind!r}', remedy=f'choose one of {", ".join(WRITERS)}'
         )
-    if kind == 'hdf5':
-        load_h5py()
     with (
-        contextlib.closing(open_recording(path, selection, whole=whole)) as recording,
+        contextlib.closing(open_recording(path, selection)) as recording,
         new_folder(out) as folder,
     ):
-        counts = Counts(size=(recording.info.width, recording.info.height), lost=recording.counters)
+        info = recording.info
+        counts = Counts(size=(info.width, info.height), lost=recording.counters)
         folder.mkdir()
-        sink = _sink(kind, folder, recording)
-        try:
-            _export_camera(recording, sink, counts, progress)
-            if kind != 'aedat4' and path.suffix.lower() != AEDAT4_SUFFIX:
-                _export_wrenches(path, sink, counts)
-            sink.close()
-        except BaseException:
-            with contextlib.suppress(OSError):
-                sink.discard()
-            raise
-        # More of it where damaged packets were left out.
+        with contextlib.closing(WRITERS[kind](folder, info)) as writer:
+            _export_camera(recording, writer, counts, progress)
+            if isinstance(writer, TableWriter) and isinstance(recording, BagRecording):
+                _export_wrenches(path, writer, counts)
         counts.damage = recording.info.damage
     return counts
-
-
-def _sink(kind: str, out: Path, recording: Recording) -> Aedat4Sink | TableSink:
-    if kind == 'aedat4':
-        return Aedat4Sink(out, recording.info)
-    sinks: dict[str, type[CsvSink | Hdf5Sink | NpzSink]]
-    sinks = {'csv': CsvSink, 'hdf5': Hdf5Sink, 'npz': NpzSink}
-    return sinks[kind](out)
 
 
 Readings = TypeVar('Readings', Events, InertialSamples)
 
 
-class _Packets(Generic[Readings]):
-    """Gathers readings and passes them on in packets of `PACKET_US`."""
+class _Gathered(Generic[Readings]):
+    """Gathers readings and passes them on, `ROWS` or more at once, in order of time."""
 
     def __init__(
         self,
@@ -158,42 +154,43 @@ class _Packets(Generic[Readings]):
         self._write: Callable[[Readings], None] = write
         self._concatenate: Callable[[list[Readings]], Readings] = concatenate
         self._parts: list[Readings] = []
+        self._count = 0
 
     def add(self, readings: Readings) -> int:
         """Add readings, and return how many they are."""
         count = len(readings.t)
         if not count:
             return 0
-        # Of a clock that goes back, a packet begins anew.
-        if self._parts and not 0 <= int(readings.t[-1] - self._parts[0].t[0]) <= PACKET_US:
+        if self._count >= ROWS or (self._parts and readings.t[0] < self._parts[-1].t[-1]):
             self.flush()
         self._parts.append(readings)
+        self._count += count
         return count
 
     def flush(self) -> None:
         """Pass on what is left."""
         if self._parts:
             self._write(self._concatenate(self._parts))
-            self._parts.clear()
+            self._parts, self._count = [], 0
 
 
 def _export_camera(
     recording: Recording,
-    sink: Aedat4Sink | TableSink,
+    writer: Writer,
     counts: Counts,
     progress: Callable[[float], None],
 ) -> None:
     info, reported = recording.info, 0.0
-    events = _Packets(sink.events, Events.concatenate)
-    samples = _Packets(sink.samples, InertialSamples.concatenate)
+    events = _Gathered(writer.events, Events.concatenate)
+    samples = _Gathered(writer.samples, InertialSamples.concatenate)
     for piece in recording.pieces(0):
         counts.events += events.add(piece.events)
         counts.samples += samples.add(piece.imu)
         for frame in piece.frames:
-            sink.frame(frame)
+            writer.frame(frame)
             counts.frames += 1
         if len(piece.edges.t):
-            sink.edges(piece.edges)
+            writer.edges(piece.edges)
             counts.edges += len(piece.edges.t)
         done = (piece.until_us - info.start_us) / max(info.length_us, 1)
         if done > reported + 0.005:
@@ -204,11 +201,11 @@ def _export_camera(
     progress(1.0)
 
 
-def _export_wrenches(path: Path, sink: Aedat4Sink | TableSink, counts: Counts) -> None:
+def _export_wrenches(path: Path, writer: TableWriter, counts: Counts) -> None:
     with BagFile(path) as bag:
         for topic in bag.topics(REFERENCE_WRENCH.type_name):
             for stamps, values in bag_wrenches(bag, topic):
-                sink.wrenches(topic, stamps, values)
+                writer.wrenches(topic, stamps, values)
             counts.wrenches[topic] = bag.counts[topic]
 
 

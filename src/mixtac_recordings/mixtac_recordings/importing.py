@@ -24,19 +24,15 @@ from mixtac_node.files import new_folder
 from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_recordings.bag import BagFile, check_new, find_bags
 from mixtac_recordings.bag_writer import McapBag
-from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import PACKET_US, Counts, bag_wrenches
-from mixtac_recordings.recording import (
-    AEDAT4_SUFFIX,
-    Piece,
-    ReadCounters,
-    RecordingError,
-    Selection,
-)
-from mixtac_recordings.sinks import AEDAT4_FILE, HDF5_FILE, topic_file
+from mixtac_recordings.camera_stream import BagRecording, open_recording
+from mixtac_recordings.export import AEDAT4_FILE, Counts, bag_wrenches
+from mixtac_recordings.recording import Piece, ReadCounters, RecordingError, Selection
 from mixtac_recordings.stream_writer import StreamWriter
-from mixtac_recordings.tables import AXES, UNITS, Rows, Tables, open_tables
+from mixtac_recordings.tables import TIME_UNITS, Rows, Tables, open_tables
+from mixtac_recordings.writers import AXES, HDF5_FILE, HDF5_SUFFIXES, topic_file
 
+PACKET_US = 10_000
+"""Longest stretch of a table that is written at once [us]."""
 DAVIS346: Final = (346, 260)
 
 
@@ -45,9 +41,9 @@ class TableOptions:
     """How to read tables that do not say it themselves.
 
     Attributes:
-        time_unit: Unit of the times of camera data, one of `UNITS`; empty for that which the file
-            gives, else `us`.
-        force_unit: Unit of the times of forces, likewise, else `s`.
+        time_unit: Unit of the times of camera data where the file states none, one of
+            `TIME_UNITS`; empty for `us`.
+        force_unit: Unit of the times of forces, likewise; empty for `s`.
         size: Width and height of the camera; None for that of its frames, else 346 x 260.
     """
 
@@ -62,9 +58,9 @@ class TableOptions:
             RecordingError: One is unknown.
         """
         for unit in (self.time_unit, self.force_unit):
-            if unit and unit not in UNITS:
+            if unit and unit not in TIME_UNITS:
                 raise RecordingError(
-                    f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(UNITS)}'
+                    f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(TIME_UNITS)}'
                 )
 
 
@@ -104,7 +100,8 @@ def import_recording(
         with new_folder(out) as folder, McapBag(folder) as bag:
             writer = StreamWriter(bag, camera.size, color_filter=camera.color_filter)
             counts = _write(camera, wrenches or iter(()), writer, same_clock=same_clock)
-    counts.size, counts.damage, counts.lost = camera.size, camera.damage, camera.lost
+        counts.damage = camera.damage()
+    counts.size, counts.lost = camera.size, camera.lost
     counts.forces_replaced = forces is not None and camera.wrenches is not None
     return counts
 
@@ -121,7 +118,7 @@ class _Camera:
     size: tuple[int, int]
     wrenches: Wrenches | None = None
     color_filter: int = 0
-    damage: str = ''
+    damage: Callable[[], str] = str
     lost: ReadCounters = field(default_factory=ReadCounters)
 
 
@@ -136,55 +133,63 @@ def _open_camera(
     path = path.expanduser()
     if path.is_dir() and (names := [each.name for each in path.iterdir()]) in _WHOLE:
         path /= names[0]
-    bag = path.is_dir() and find_bags(path, 0)
-    tables = None if bag else open_tables(path)
-    if tables is None and path.is_dir() and not bag:
-        raise RecordingError(
-            f'{path} holds neither tables nor a bag',
-            remedy='give an .aedat4, .csv, .npz or .h5 file, or the folder of an export or a bag',
-        )
+    is_bag, selection = path.is_dir() and bool(find_bags(path, 0)), selection or Selection()
+    is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
+    tables = None if is_bag else open_tables(path, group=selection.events if is_hdf5 else '')
     if tables is None:
-        with contextlib.ExitStack() as stack:
-            recording = stack.enter_context(contextlib.closing(open_recording(path, selection)))
-            info, wrenches = recording.info, None
-            if path.suffix.lower() != AEDAT4_SUFFIX:
-                file = stack.enter_context(BagFile(path))
-                if REFERENCE in file.topics(REFERENCE_WRENCH.type_name):
-                    wrenches = bag_wrenches(file, REFERENCE)
-            yield _Camera(
-                pieces=recording.pieces(0),
-                size=(info.width, info.height),
-                wrenches=wrenches,
-                color_filter=info.color_filter,
-                damage=info.damage,
-                lost=recording.counters,
-            )
+        with _open_stream(path, selection) as camera:
+            yield camera
         return
-    if selection not in {None, Selection()}:
+    if selection != Selection() and not is_hdf5:
         raise RecordingError(
-            f'{path} holds tables, of which there is nothing to choose',
+            f'{path} holds tables: there is nothing to choose',
             remedy='leave out --events, --image and --imu',
         )
     with contextlib.closing(tables):
-        if not tables.names & {'events', 'frames'}:
-            raise RecordingError(
-                f'{path} holds neither events nor frames: {", ".join(sorted(tables.names)) or "-"}',
-                remedy='name the tables events and frames, as `mixtac export` does',
-            )
-        unit = options.time_unit
-        size = options.size or _frame_size(tables, unit) or DAVIS346
-        parts = [
-            _cut(tables.rows(name, unit), 't', make)
-            for name, make in (('imu', _samples), ('edges', _edges))
-            if name in tables.names
-        ]
-        if 'events' in tables.names:
-            parts.append(_cut(tables.rows('events', unit), 't', _events_inside(size)))
-        if 'frames' in tables.names:
-            parts.append(_cut(tables.rows('frames', unit), 'exposure_end', _frames, one=True))
-        name = topic_file(REFERENCE)
-        wrenches = _force_rows(tables, name, options) if name in tables.names else None
-        yield _Camera(heapq.merge(*parts, key=lambda piece: piece.until_us), size, wrenches)
+        yield _table_camera(tables, options)
+
+
+@contextlib.contextmanager
+def _open_stream(path: Path, selection: Selection) -> Iterator[_Camera]:
+    """Open a bag or an AEDAT4 file."""
+    with contextlib.ExitStack() as stack:
+        recording = stack.enter_context(contextlib.closing(open_recording(path, selection)))
+        info, wrenches = recording.info, None
+        if isinstance(recording, BagRecording):
+            file = stack.enter_context(BagFile(path))
+            if REFERENCE in file.topics(REFERENCE_WRENCH.type_name):
+                wrenches = bag_wrenches(file, REFERENCE)
+        yield _Camera(
+            pieces=recording.pieces(0),
+            size=(info.width, info.height),
+            wrenches=wrenches,
+            color_filter=info.color_filter,
+            damage=lambda: recording.info.damage,
+            lost=recording.counters,
+        )
+
+
+def _table_camera(tables: Tables, options: TableOptions) -> _Camera:
+    if not tables.names & {'events', 'frames'}:
+        raise RecordingError(
+            f'{tables.path} holds neither events nor frames, but'
+            f' {", ".join(sorted(tables.names)) or "nothing"}',
+            remedy='name the tables events and frames; in HDF5, choose a group with --events',
+        )
+    unit = options.time_unit
+    size = options.size or _frame_size(tables, unit) or DAVIS346
+    parts = [
+        _cut(tables.rows(name, unit), 't', make)
+        for name, make in (('imu', _samples), ('edges', _edges))
+        if name in tables.names
+    ]
+    if 'events' in tables.names:
+        parts.append(_cut(tables.rows('events', unit), 't', _events_inside(size)))
+    if 'frames' in tables.names:
+        parts.append(_cut(tables.rows('frames', unit), 'exposure_end', _frames, one=True))
+    name = topic_file(REFERENCE)
+    wrenches = _force_rows(tables, name, options) if name in tables.names else None
+    return _Camera(heapq.merge(*parts, key=lambda piece: piece.until_us), size, wrenches)
 
 
 def _write(
@@ -216,6 +221,7 @@ def _write(
         _write_piece(writer, counts, piece, received_ns)
     if start_us < 0:
         raise RecordingError('there is nothing to import: no events and no frames')
+    counts.length_us = reached_us - start_us
     while following is not None:
         _write_wrench(writer, counts, *following, 1000 * reached_us)
         last, following = following, next(waiting, None)
@@ -252,7 +258,8 @@ def _checked_end(events: Events, latest_us: int) -> int:
     if (steps < 0).any():
         raise RecordingError(
             f'events go back in time at {int(events.t[int(np.argmax(steps < 0))])} us',
-            remedy='sort them by time, and cut a recording where its clock was reset',
+            remedy='sort them by time (columns without headings are t, x, y, p), and cut a'
+            ' recording where its clock was reset',
         )
     return int(events.t[-1])
 
@@ -303,8 +310,8 @@ def _events_inside(size: tuple[int, int]) -> Callable[[Rows], dict[str, Any]]:
                 f' outside of {size[0]} x {size[1]} pixels',
                 remedy='give the size of the camera with --size',
             )
-        polarity = rows['polarity'] > 0
-        return {'events': Events(rows['t'], x.astype(np.uint16), y.astype(np.uint16), polarity)}
+        columns = (x.astype(np.uint16), y.astype(np.uint16), rows['polarity'])
+        return {'events': Events(rows['t'], *columns)}
 
     return make
 
@@ -356,10 +363,12 @@ def _force_rows(tables: Tables, name: str, options: TableOptions) -> Wrenches:
     for rows in tables.rows(name, options.force_unit, 's', wanted_ns=1):
         count = len(rows['t'])
         values = np.hstack([_vector(rows, kind, count) for kind in ('force', 'torque')])
-        if not np.isfinite(values[:, 2]).all():
+        known = np.isfinite(values).all(axis=1)
+        if not known.all():
             raise RecordingError(
-                f'{tables.path}: forces are missing or not finite',
-                remedy='name the column of the normal force force_z or fz',
+                f'{tables.path}: row {int(np.argmin(known)) + 1} has no finite normal force; found'
+                f' columns {", ".join(rows)}',
+                remedy='name the normal force force_z or fz, and remove rows without a number',
             )
         yield rows['t'], values
 
@@ -371,5 +380,5 @@ def _vector(rows: Rows, name: str, count: int) -> NDArray[np.float64]:
     absent = np.zeros(count) if name in {'force', 'torque'} else np.full(count, np.nan)
     columns = [rows.get(f'{name}_{axis}', absent) for axis in AXES]
     if name == 'force' and 'force_z' not in rows:
-        columns[2] = rows.get('force', np.full(count, np.nan))
+        columns[2] = np.full(count, np.nan)
     return np.stack(columns, axis=1).astype(np.float64)

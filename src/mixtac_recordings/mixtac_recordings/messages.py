@@ -87,6 +87,13 @@ def left_aligned(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.left_shift(image, BIT_SHIFT)
 
 
+def ten_bits(image: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return the upper 10 of 16 bits, or 8 bits and two zeros: the camera converts to 10 bits."""
+    if image.dtype == np.uint8:
+        return np.asarray(np.left_shift(image, 2, dtype=np.uint16))
+    return np.asarray(np.right_shift(image, BIT_SHIFT, dtype=np.uint16))
+
+
 def image_header(frame: Frame, origin_us: int, frame_id: str, new: New = ros_message) -> Any:  # noqa: ANN401
     """Return the Image of a frame without its pixels, for messages that share its header."""
     message = new(topics.IMAGE_RAW.type_name)
@@ -277,13 +284,9 @@ def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Fram
         found = pixels(message)
     except ImageConversionError as error:
         raise RecordingError(str(error)) from error
-    if found.dtype == np.uint8:
-        image = np.left_shift(found, 2, dtype=np.uint16)
-    else:
-        image = np.right_shift(found, BIT_SHIFT, dtype=np.uint16)
     middle_us = stamp_to_us(message.header.stamp) - offset_us
     return Frame(
-        image=image,
+        image=ten_bits(found),
         x=corner[0],
         y=corner[1],
         frame_start_us=middle_us,
@@ -329,17 +332,23 @@ def read_edges(message: Any, *, offset_us: int) -> Edges:  # noqa: ANN401
     return Edges(t, np.array([message.kind], np.uint8))
 
 
-def read_samples(message: Any, *, offset_us: int) -> InertialSamples:  # noqa: ANN401
+def read_samples(
+    message: Any,  # noqa: ANN401
+    *,
+    offset_us: int,
+    celsius: float = math.nan,
+) -> InertialSamples:
     """Return the one sample of an Imu message; values marked as missing are NaN (REP-145).
 
     Args:
         message: The message.
         offset_us: Subtracted from the stamp to get the recorded camera clock.
+        celsius: Temperature of the inertial unit at its stamp [degrees Celsius], NaN if unknown.
     """
     t = np.array([stamp_to_us(message.header.stamp) - offset_us], np.int64)
     acceleration = _vector(message.linear_acceleration, message.linear_acceleration_covariance)
     rotation = _vector(message.angular_velocity, message.angular_velocity_covariance)
-    return InertialSamples(t, acceleration, rotation, np.array([np.nan]))
+    return InertialSamples(t, acceleration, rotation, np.array([celsius]))
 
 
 def check_image(message: Any) -> None:  # noqa: ANN401

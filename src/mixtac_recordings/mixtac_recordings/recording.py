@@ -3,27 +3,20 @@
 """The interface of recordings: pieces of a camera's stream in recorded order.
 
 Readers of a format are in `mixtac_recordings.camera_stream` (bags) and `mixtac_recordings.aedat4`.
+Beside it, the file formats that are known by name.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
-
-import lz4.frame
+from typing import Protocol
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
 from mixtac_events.windows import RESTART_US
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 
 class RecordingError(MixtacError):
@@ -34,39 +27,83 @@ class DamagedRecordingError(RecordingError):
     """Recorded data that violate their format."""
 
 
-LARGEST_EXPANDED = 1 << 28
-"""Most bytes that a packet, chunk or message may hold or expand to: 16 million events."""
-
-
-def expand(compression: str, data: bytes, size: int = LARGEST_EXPANDED) -> bytes:
-    """Return compressed data expanded, to at most `LARGEST_EXPANDED` bytes.
-
-    Args:
-        compression: `lz4` or `zstd`.
-        data: One frame of it.
-        size: Most bytes of the result.
-
-    Raises:
-        DamagedRecordingError: The data are damaged or cut off, or expand to more.
-    """
-    limit = min(size, LARGEST_EXPANDED)
-    unpacker: Any = (
-        lz4.frame.LZ4FrameDecompressor() if compression == 'lz4' else zstd.ZstdDecompressor()
-    )
-    try:
-        # One byte more: the end of a frame is found only when its last block has been taken.
-        found: bytes = unpacker.decompress(data, limit + 1)
-    except (RuntimeError, EOFError, zstd.ZstdError) as error:
-        raise DamagedRecordingError(f'compressed data are damaged: {error}') from error
-    if not unpacker.eof or len(found) > limit:
-        raise DamagedRecordingError(
-            f'compressed data are cut off, or expand to more than {limit} bytes'
-        )
-    return found
+def reason(error: Exception) -> str:
+    """Return the text of an error of a library in one line; its type where it has none."""
+    return ' '.join(str(error).split()) or type(error).__name__
 
 
 AEDAT4_SUFFIX = '.aedat4'
 BAG_SUFFIXES = ('.mcap', '.db3')
+ROS1_SUFFIX = '.bag'
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """A file format that people bring.
+
+    Attributes:
+        name: As shown to users.
+        magic: First bytes of its files; empty where they have none.
+        suffixes: Suffixes of its files.
+        remedy: What to do with a file of it.
+    """
+
+    name: str
+    magic: bytes
+    suffixes: tuple[str, ...]
+    remedy: str
+
+
+_EXPORT = 'export events as csv with columns t, x, y, p and run `mixtac import` on them'
+FORMATS = (
+    FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', ('.mcap',), 'name the file NAME.mcap'),
+    FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', ('.db3',), 'name the file NAME.db3'),
+    FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,), 'name the file NAME.bag'),
+    FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,), 'name the file NAME.aedat4'),
+    FileFormat('HDF5', b'\x89HDF', ('.h5', '.hdf5'), 'run `mixtac import` on it'),
+    FileFormat('NPZ', b'PK\x03\x04', ('.npz',), 'run `mixtac import` on it'),
+    FileFormat('csv', b'', ('.csv', '.txt'), 'run `mixtac import` on it'),
+    FileFormat('AEDAT 2', b'#!AER-DAT2', (), f'open it in jAER, {_EXPORT}'),
+    FileFormat('AEDAT 3', b'#!AER-DAT3', ('.aedat',), f'open it in DV, {_EXPORT}'),
+    FileFormat(
+        'Prophesee DAT', b'% Data file', ('.dat',), f'with metavision_file_to_csv {_EXPORT}'
+    ),
+    FileFormat('Prophesee RAW', b'% ', ('.raw',), f'with metavision_file_to_csv {_EXPORT}'),
+    FileFormat(
+        'Event Stream', b'Event Stream', ('.es',), f'with the Python package loris {_EXPORT}'
+    ),
+    FileFormat(
+        'pointer of git-lfs', b'version https://git-lfs', (), 'run `git lfs pull` beside it'
+    ),
+    FileFormat('zstd', b'\x28\xb5\x2f\xfd', ('.zst', '.zstd'), 'expand it with `zstd -d`'),
+)
+"""File formats by name: those that are read, and others with what to do."""
+
+
+def file_format(path: Path) -> FileFormat | None:
+    """Return the format of a file, by its first bytes or else its suffix; None if it is unknown."""
+    try:
+        with path.open('rb') as file:
+            begin = file.read(32)
+    except OSError:
+        begin = b''
+    found = (each for each in FORMATS if each.magic and begin.startswith(each.magic))
+    named = (each for each in FORMATS if path.suffix.lower() in each.suffixes)
+    return next(found, None) or next(named, None)
+
+
+def not_a_recording(path: Path) -> RecordingError:
+    """Return the error for a path that is not read as a recording, with what to do with it."""
+    known = file_format(path) if path.is_file() else None
+    if known is None:
+        what = 'folder without .mcap or .db3 files' if path.is_dir() else 'file of unknown format'
+        return RecordingError(
+            f'{path} is no recording: a {what}',
+            remedy='give an .aedat4, .mcap, .db3 or .bag file, or the folder of a bag',
+        )
+    return RecordingError(f'{path} is no recording but {known.name}', remedy=known.remedy)
+
+
 LATEST_US = (1 << 31) * 1_000_000 - 1
 """Latest time of a ROS stamp [us]."""
 
@@ -148,17 +185,22 @@ class ReadCounters:
     Attributes:
         packets_missing: Event packets that are missing by their numbers.
         events_outside: Events dropped because they lie outside the sensor.
+        events_unsorted: Events that were older than the one before in their message; sorted.
     """
 
     packets_missing: int = 0
     events_outside: int = 0
+    events_unsorted: int = 0
 
 
 class Recording(Protocol):
     """A recording, open for reading."""
 
-    info: RecordingInfo
     counters: ReadCounters
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Description; its damage is what has been found so far."""
 
     def pieces(self, from_us: int) -> Generator[Piece, None, None]:
         """Yield the recorded data in order, reading as they are needed.

@@ -8,6 +8,7 @@ the driver and of the estimator node.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -114,8 +115,12 @@ class StreamWriter:
         self.put(topics.IMAGE_EXPOSURE, received_ns, exposure)
 
     def samples(self, samples: InertialSamples, origin_us: int, received_ns: int) -> None:
-        """Write inertial samples; arguments as in `frame`."""
+        """Write inertial samples, each after its temperature; arguments as in `frame`."""
         for index in range(len(samples.t)):
+            celsius, t_us = float(samples.temperature[index]), int(samples.t[index]) + origin_us
+            if not math.isnan(celsius):
+                message = messages.temperature(celsius, t_us, topics.IMU_FRAME, blank_message)
+                self.put(topics.TEMPERATURE, received_ns, message)
             message = messages.imu(samples, index, origin_us, topics.IMU_FRAME, blank_message)
             self.put(topics.IMU, received_ns, message)
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,10 +13,8 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
-from mixtac_recordings.aedat4_file import MAGIC
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.flatbuffer import FlatBufferWriter
 from mixtac_recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
 
 EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
@@ -26,6 +23,7 @@ IMU = 'sensor_msgs/msg/Imu'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 FRAME_EXPOSURE = 'mixtac_msgs/msg/FrameExposure'
 EXTERNAL_EDGE = 'mixtac_msgs/msg/ExternalEdge'
+TEMPERATURE = 'sensor_msgs/msg/Temperature'
 TIME_REFERENCE = 'sensor_msgs/msg/TimeReference'
 START_US = 1_700_000_000_123_456
 TYPES = typestore()
@@ -139,6 +137,10 @@ class Bag:
         )
         self.write(topic, IMU, t_us, message)
 
+    def temperature(self, t_us, celsius, topic='/mixtac/temperature'):
+        message = TYPES.types[TEMPERATURE](header(t_us), celsius, 0.0)
+        self.write(topic, TEMPERATURE, t_us, message)
+
     def exposure(self, t_us, times, shutter=0, received_us=None, topic='/mixtac/image_exposure'):
         stamps = [header(time_us).stamp for time_us in times]
         message = TYPES.types[FRAME_EXPOSURE](header(t_us), *stamps, shutter)
@@ -224,27 +226,6 @@ def scene(path, **options):
         for number in range(3):
             bag.imu(START_US + 1000 * number, (0.5, number, 9.8), (0.1, 0.2, 0.3))
     return events, frames
-
-
-def write_aedat4(path, packets):
-    """Write an AEDAT4 file without a table, of several cameras, which name their streams alike.
-
-    Args:
-        path: The file.
-        packets: (identifier, camera, buffer) of packets, each of a stream of its own.
-    """
-    attributes = 'typeIdentifier', 'originalOutputName', 'source', 'sizeX', 'sizeY'
-    nodes = ''
-    for number, (identifier, camera, _) in enumerate(packets):
-        values = zip(attributes, (identifier, identifier, camera, 346, 260), strict=True)
-        inner = ''.join(f'<attr key="{key}">{value}</attr>' for key, value in values)
-        nodes += f'<node name="{number}">{inner}</node>'
-    text = f'<dv><node name="outInfo">{nodes}</node></dv>'.encode()
-    buffer = FlatBufferWriter('IOHE')
-    root, fields = buffer.table({0: ('i', 0), 1: ('q', -1), 2: ('O', 0)})
-    buffer.refer(fields[2], buffer.vector(len(text), text + b'\0'))
-    parts = [struct.pack('<ii', n, len(each[2])) + each[2] for n, each in enumerate(packets)]
-    path.write_bytes(MAGIC + buffer.finish(root) + b''.join(parts))
 
 
 def assert_equal(found, expected):

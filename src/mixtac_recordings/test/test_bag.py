@@ -47,12 +47,6 @@ def packet(store, seq: int, events: Events):
     )
 
 
-def cut(bag: Path, kept: float) -> None:
-    (path,) = bag.glob('*.mcap')
-    content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * kept)])
-
-
 def wrench(store, stamp_ns: int, force: float):
     vector = store.types['geometry_msgs/msg/Vector3']
     zero = vector(x=0.0, y=0.0, z=0.0)
@@ -137,69 +131,21 @@ def test_what_is_no_bag_is_not_called_a_damaged_one(tmp_path: Path, name: str):
     assert not isinstance(caught.value, DamagedRecordingError)
 
 
-@pytest.mark.parametrize('kept', [0.0, 0.05])
-def test_a_bag_without_one_whole_record_is_refused_in_one_line(bag: Path, kept: float):
-    cut(bag, kept)
-    with pytest.raises(DamagedRecordingError) as caught:
-        summarise(bag)
-    assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize('kept', [0.85, 0.95])
-def test_a_bag_that_was_not_closed_is_read_to_its_last_record(bag: Path, kept: float):
-    cut(bag, kept)
-    found = summarise(bag)
-    assert found.damage
-    assert found.events['/mixtac/events'].events == 280
-    assert found.counts == {'/mixtac/events': 40, '/mixtac/force': 10}
-
-
-@pytest.mark.parametrize('size', [600_000, 1_500_000, 2_600_000])
-def test_whole_chunks_of_a_killed_recorder_are_read(tmp_path: Path, size: int):
-    writer = BagWriter(tmp_path / 'bag')
-    topic = writer.add_topic('/image', 'sensor_msgs/msg/Image', latched=False)
-    message = blank_message('sensor_msgs/msg/Image')
-    message.data = np.zeros(100_000, np.uint8)
-    data = bytes(typestore().serialize_cdr(message, 'sensor_msgs/msg/Image'))
-    for index in range(30):
-        writer.write(topic, 10**9 + index, data)
-    writer.close()
-    (path,) = (tmp_path / 'bag').glob('*.mcap')
-    path.write_bytes(path.read_bytes()[:size])
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    if size < 1_000_000:
-        with pytest.raises(DamagedRecordingError):
-            BagFile(tmp_path / 'bag')
-        return
-    for opened in (tmp_path / 'bag', path):
-        with BagFile(opened) as bag:
-            times = [received_ns for _, received_ns, _ in bag.messages('/image')]
-            assert times == [10**9 + index for index in range(11 * (size // 1_100_000))]
-            assert bag.counts == {'/image': len(times)}
-            assert path.name in bag.damage
-
-
 def test_a_bag_without_its_metadata_is_read(bag: Path):
     (bag / 'metadata.yaml').unlink()
-    found = summarise(bag)
-    assert found.counts == {'/mixtac/events': 40, '/mixtac/force': 10}
-    assert found.damage
+    assert summarise(bag).counts == {'/mixtac/events': 40, '/mixtac/force': 10}
+
+
+def test_a_file_that_is_missing_of_a_bag_is_named(bag: Path):
+    path = bag / 'metadata.yaml'
+    path.write_text(path.read_text().replace('  - bag.mcap', '  - bag.mcap\n  - bag_1.mcap'))
+    assert 'bag_1.mcap' in summarise(bag).damage
 
 
 def test_an_empty_storage_identifier_does_not_matter(bag: Path):
     path = bag / 'metadata.yaml'
     path.write_text(path.read_text().replace('storage_identifier: mcap', "storage_identifier: ''"))
     assert summarise(bag).counts == {'/mixtac/events': 40, '/mixtac/force': 10}
-
-
-def test_a_flipped_byte_is_noticed(bag: Path):
-    (path,) = bag.glob('*.mcap')
-    data = bytearray(path.read_bytes())
-    at = data.index(b'libcaer_cmp\0', len(data) // 2)
-    data[at + 40] ^= 1
-    path.write_bytes(data)
-    with BagFile(bag) as opened, pytest.raises(DamagedRecordingError):
-        list(opened.messages('/mixtac/events'))
 
 
 def test_packets_that_cannot_be_decoded_leave_the_other_topics(bag: Path, monkeypatch):
@@ -256,20 +202,6 @@ def test_a_clock_that_was_reset_shows_in_the_summary(tmp_path: Path, backwards):
                 topic, 10**9 + index, store.serialize_cdr(packet(store, index, some), kind)
             )
     assert summarise(tmp_path / 'bag').events['/mixtac/events'].backward_steps == backwards
-
-
-def test_damage_in_any_topic_shows_in_the_summary(bag: Path):
-    store, kind = typestore(), 'geometry_msgs/msg/WrenchStamped'
-    other = bag.with_name('other')
-    with McapBag(other) as writer:
-        topic = writer.add_topic('/mixtac/force', kind, latched=False)
-        writer.write(topic, 10**9, store.serialize_cdr(wrench(store, 10**9, 0.5), kind))
-    assert not summarise(other).damage
-    (path,) = other.glob('*.mcap')
-    data = bytearray(path.read_bytes())
-    data[data.index(np.array([0.5]).tobytes()) + 3] ^= 1
-    path.write_bytes(data)
-    assert summarise(other).damage
 
 
 def test_what_the_writer_of_a_bag_said_of_it_survives_a_repair(bag: Path, tmp_path: Path):

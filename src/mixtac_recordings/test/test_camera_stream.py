@@ -4,9 +4,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from recording_samples import (
@@ -19,12 +16,9 @@ from recording_samples import (
 )
 from rosbags.rosbag2 import StoragePlugin
 
-from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
 from mixtac_events.packets import EncodedPacket
 from mixtac_recordings.recording import RecordingError
-
-SHARED = Path(__file__).resolve().parents[4] / 'shared' / 'data'
-ROLL_OVER = Path(os.environ.get('MIXTAC_TEST_DATA', SHARED)) / 'libcaer_rollover_0.db3'
 
 
 @pytest.mark.parametrize('encoding', ['libcaer_cmp', 'libcaer'])
@@ -59,6 +53,17 @@ def test_frames_and_samples_come_with_their_exact_times(tmp_path):
     np.testing.assert_array_equal(found.imu[2][1], (0.5, 2, 9.8))
     np.testing.assert_array_equal(found.imu[2][2], (0.1, 0.2, 0.3))
     assert np.isnan(found.imu[2][3])
+
+
+def test_samples_have_the_temperature_of_their_stamp(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events())
+        for number, celsius in enumerate((31.5, None, 33.25)):
+            if celsius is not None:
+                bag.temperature(START_US + 1000 * number, celsius)
+            bag.imu(START_US + 1000 * number, (0.5, 0, 9.8))
+    found = [sample[3] for sample in read(tmp_path / 'bag').imu]
+    np.testing.assert_array_equal(found, [31.5, np.nan, 33.25])
 
 
 def test_what_an_imu_did_not_measure_stays_unknown(tmp_path):
@@ -259,39 +264,51 @@ def test_samples_and_frames_are_those_of_the_camera_of_the_events(tmp_path, own,
     assert [acceleration.tolist() for _, acceleration, *_ in found.imu] == [[0, 0, 0]]
 
 
-def plain_words(path):
-    """Decode the events of a real recording by the letter of the encoding, without our codec."""
-    from rosbags.rosbag2 import Reader
-
-    from mixtac_recordings.bag import typestore
-
-    types, t, x, y, p, shift, before = typestore(), [], [], [], [], None, None
-    with Reader(path) as reader:
-        for connection, _, data in reader.messages():
-            message = types.deserialize_cdr(data, connection.msgtype)
-            words = np.asarray(message.events).view('<u4').reshape(-1, 2)
-            valid = (words[:, 0] & 1).astype(bool)
-            low = words[valid, 1].astype(np.int64)
-            if shift is None:
-                shift = int(message.time_base) // 1000
-                before = low[0]
-            steps = np.diff(np.concatenate(([before], low)))
-            rolls = np.cumsum(steps < -(1 << 30)) * (1 << 31)
-            t.append(low + shift + rolls)
-            shift += int(rolls[-1])
-            before = low[-1]
-            x.append(words[valid, 0] >> 17)
-            y.append(words[valid, 0] >> 2 & 0x7FFF)
-            p.append((words[valid, 0] & 2) != 0)
-    return [np.concatenate(each) for each in (t, x, y, p)]
+@pytest.mark.parametrize('encoding', ['evt2', 'jpeg'])
+def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
+    with Bag(tmp_path / 'bag') as bag:
+        encoded = EncodedPacket(encoding, START_US * 1000, np.zeros(8, np.uint8))
+        bag.packet(None, START_US, encoding=encoding, encoded=encoded)
+    with pytest.raises(RecordingError) as error:
+        read(tmp_path / 'bag')
+    assert '/mixtac/events' in str(error.value)
+    assert str(tmp_path / 'bag') in str(error.value)
 
 
-@pytest.mark.skipif(not ROLL_OVER.exists(), reason='the recording shared/data is not here')
-def test_a_real_recording_over_a_roll_over_of_the_camera_time():
-    found = read(ROLL_OVER)
-    assert (found.info.width, found.info.height) == (640, 480)
-    t, x, y, polarity = plain_words(ROLL_OVER)
-    assert len(t) > 300_000
-    expected = Events(t, x.astype(np.uint16), y.astype(np.uint16), polarity)
-    assert_equal(found.events, expected)
-    assert (np.diff(found.events.t) >= 0).all()
+def test_a_damaged_packet_ends_the_playing_with_its_topic(tmp_path):
+    events = some_events()
+    good = encode(events.between(START_US, START_US + 1000), complete_until=START_US + 1000)
+    bad = EncodedPacket('libcaer_cmp', good.time_base, np.full(7, 0xFF, np.uint8))
+    with Bag(tmp_path / 'bag') as bag:
+        bag.packet(None, START_US, encoded=good)
+        bag.packet(None, START_US + 5, encoded=bad)
+    with pytest.raises(RecordingError) as error:
+        read(tmp_path / 'bag')
+    assert '/mixtac/events' in str(error.value)
+
+
+def test_a_bag_without_anything_to_play_is_refused(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.info(START_US)
+    with pytest.raises(RecordingError):
+        read(tmp_path / 'bag')
+
+
+def test_what_is_no_recording_is_refused_by_its_format(tmp_path):
+    begins = {
+        '#!AER-DAT2.0': 'AEDAT 2',
+        '#!AER-DAT3.1': 'AEDAT 3',
+        'version https://git-lfs.github.com/spec/v1': 'git-lfs',
+        'Event Stream': 'Event Stream',
+        'notes': 'unknown',
+    }
+    for begin, name in begins.items():
+        path = tmp_path / 'file'
+        path.write_text(begin)
+        with pytest.raises(RecordingError) as error:
+            read(path)
+        assert name in error.value.message
+        assert error.value.remedy
+    for path in (tmp_path, tmp_path / 'missing.mcap'):
+        with pytest.raises(RecordingError):
+            read(path)

@@ -16,6 +16,8 @@ import pytest
 
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.export import export_recording
+from mixtac_recordings.importing import TableOptions, import_recording
+from mixtac_recordings.recording import RecordingError
 from mixtac_recordings.summary import summarise
 
 DATA = Path(os.environ.get('MIXTAC_TEST_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
@@ -33,23 +35,42 @@ def pieces(path: Path):
 
 
 def test_an_aedat4_file_whose_table_has_no_counts():
-    # Figures of dv-processing for the same file.
+    pytest.importorskip('dv_processing', reason='pip install dv-processing')
     _, found = pieces(data('davis346_sample.aedat4'))
     assert sum(len(piece.events) for piece in found) == 6676
     assert sum(len(piece.frames) for piece in found) == 4
     assert sum(len(piece.imu.t) for piece in found) == 160
 
 
-def test_the_same_file_cut_inside_a_packet(tmp_path):
-    whole = data('davis346_sample.aedat4').read_bytes()
-    path = tmp_path / 'cut.aedat4'
-    path.write_bytes(whole[: len(whole) // 2])
-    info, found = pieces(path)
-    assert info.damage
-    assert 0 < sum(len(piece.events) for piece in found) < 6676
-    summary = summarise(path)
-    assert summary.damage == info.damage
-    assert summary.events['events'].events == sum(len(piece.events) for piece in found)
+TRUTH = 'inputs/truth.npy'
+
+
+@pytest.mark.parametrize(
+    ('name', 'unit'),
+    [
+        ('v2e.txt', 's'),
+        ('bool.csv', ''),
+        ('structured.npz', ''),
+        ('event_cnn.h5', 's'),
+        ('esim.npz', 'ns'),
+        ('dvs_msgs.bag', ''),
+    ],
+)
+def test_events_as_tools_of_others_write_them(tmp_path, name, unit):
+    if name.endswith('.h5'):
+        pytest.importorskip('h5py', reason='pip install h5py')
+    path, truth = data(f'inputs/{name}'), np.load(data(TRUTH))
+    import_recording(path, tmp_path / 'bag', options=TableOptions(unit))
+    _, found = pieces(tmp_path / 'bag')
+    for column, key in zip(truth, ('t', 'x', 'y', 'polarity'), strict=True):
+        assert np.array_equal(np.concatenate([getattr(p.events, key) for p in found]), column)
+
+
+@pytest.mark.parametrize('name', ['txyp_12.csv', 'davis346.aedat'])
+def test_what_is_not_read_is_refused_with_a_remedy(tmp_path, name):
+    with pytest.raises(RecordingError) as error:
+        import_recording(data(f'inputs/{name}'), tmp_path / 'bag')
+    assert error.value.remedy
 
 
 def test_a_bag_with_an_empty_storage_identifier(tmp_path):

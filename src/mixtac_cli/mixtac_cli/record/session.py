@@ -23,7 +23,7 @@ from mixtac_cli.doctor import table
 from mixtac_cli.options import JsonFile, Namespace, Split, check_topic
 from mixtac_cli.record.meter import RecordingSummary, TopicMeter
 from mixtac_cli.record.recorder_node import Listener
-from mixtac_driver.doctor.computer import Finding, Level, ok
+from mixtac_driver.doctor import Finding, Level, ok
 from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE

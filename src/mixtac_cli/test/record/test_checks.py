@@ -13,7 +13,7 @@ from mixtac_cli.record.session import (
     check_topics,
     free_bytes,
 )
-from mixtac_driver.doctor.computer import Level
+from mixtac_driver.doctor import Level
 from mixtac_node.topics import TOPICS
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from typing import Any
 from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
 from mixtac_node.files import FileError, read_dataclass
+from mixtac_node.share import share
 from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
 
@@ -229,9 +230,4 @@ def find_run_config(name: str) -> Path:
 
 def shipped_runs() -> Path:
     """Return the folder of the runs that come with the package."""
-    source = Path(__file__).resolve().parents[4] / 'config' / 'train'
-    if source.is_dir():
-        return source
-    from ament_index_python.packages import get_package_share_directory
-
-    return Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'train'
+    return share('mixtac_bringup') / 'config' / 'train'

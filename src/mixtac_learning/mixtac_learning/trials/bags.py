@@ -110,8 +110,6 @@ def read_forces(
     pairs: list[tuple[int, int]] = []
     fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
-        if bag.damage and not incomplete:
-            raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='run `mixtac repair`')
         chosen = [
             topic
             for topic, kind in bag.types.items()
@@ -130,6 +128,9 @@ def read_forces(
                 pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
             else:
                 fits[topic.endswith(_TRUE_FIT)] = ClockFit.from_fields(vars(message))
+        # Damaged chunks are found while the bag is read.
+        if bag.damage and not incomplete:
+            raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='run `mixtac repair`')
     made = read_fit(path) if fit_path(path).exists() else fits.get(False)
     fit = made or fits.get(True)
     truth = measured = sideways = None
