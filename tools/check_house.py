@@ -48,8 +48,8 @@ FLOORS = {
     'mixtac_slip_control': 4,
     'mixtac_sim': 4,
     'mixtac_learning': 5,
-    'mixtac': 5,
-    'mixtac_cli': 6,
+    'mixtac': 410,
+    'mixtac_cli': 3910,
     'mixtac_bringup': 7,
 }
 RUN = frozenset(
@@ -76,7 +76,7 @@ CEILINGS = {
     'mixtac_fger': 5080,
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
-    'mixtac': 445,
+    'mixtac': 410,
     'mixtac_learning': 6330,
     'mixtac_cli': 4070,
 }

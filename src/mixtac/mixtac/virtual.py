@@ -24,8 +24,8 @@ NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-START_S: Final = 120.0
-"""Longest time to start [s]; the very first time the simulation is compiled."""
+START_S: Final = 600.0
+"""Longest time to start [s]: the first time the simulation compiles, on a busy computer slowly."""
 
 
 class VirtualProcess:
