@@ -258,8 +258,8 @@ def check_zero(serial: str, measured: Measurement) -> Finding:
     """
     from mixtac_fger.estimator import open_estimator
     from mixtac_fger.live_feed import MOST_DRIFT_N
-    from mixtac_fger.pictures import picture_findings
     from mixtac_fger.reference import reference_name
+    from mixtac_fger.validity import Reason
     from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
     from mixtac_fger.zero import CONTACT
     from mixtac_recordings.messages import left_aligned
@@ -289,11 +289,11 @@ def check_zero(serial: str, measured: Measurement) -> Finding:
         'kept': True,
         'age [d]': round(days, 2),
         'force [N]': round(force_n, 3),
-        'likeness': round(picture.likeness, 3),
+        'unexplained': round(picture.unexplained(), 3),
         'outward [bins]': round(picture.outward, 4),
     }
     found += f'; the picture shows {force_n:+.3f} N against it'
-    wrong = [reason.text for reason in sorted(picture_findings(picture))]
+    wrong = [Reason.PICTURE_UNLIKE_REFERENCE.text] if picture.unexplained() > 1.0 else []
     if abs(picture.outward) > CONTACT:
         wrong.append('something touches the sensor: release it and try again')
     if abs(force_n) > MOST_DRIFT_N:

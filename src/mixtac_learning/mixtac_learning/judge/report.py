@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_fger.reasons import Reason
+from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import (
     ROLLING_S,
