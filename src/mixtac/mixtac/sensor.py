@@ -31,9 +31,9 @@ from mixtac_events.codec import warm_up as warm_up_codec
 from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
-from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
 from mixtac_node.files import state_file
 from mixtac_node.parameters import build

@@ -44,6 +44,7 @@ from mixtac_learning.train.run import (
 from mixtac_learning.trials.bags import BagSource
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 

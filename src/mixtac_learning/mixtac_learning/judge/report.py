@@ -17,7 +17,7 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from mixtac_fger.reasons import Reason
+from mixtac_fger.validity import Reason
 from mixtac_fger.weights import Model, read_model
 from mixtac_learning.judge.estimators import (
     Judged,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_sim.world import plans as generation
-from mixtac_sim.world.sensor import truth_wrench
 from mixtac_sim.world.plans import TrialSpec
+from mixtac_sim.world.sensor import truth_wrench
 
 
 class DatasetError(MixtacError):

@@ -19,13 +19,13 @@ from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_m
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation
-from mixtac_sim.world.sensor import TRUTH_DTYPE
 from mixtac_sim.world.plans import (
     TrialSpec,
     evaluation_plan,
     training_plan,
     unseen_devices,
 )
+from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):
