@@ -37,8 +37,8 @@ from mixtac_fger.force_calibration import (
     steady_stretches,
     unsteady,
 )
-from mixtac_fger.reasons import Reason
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
 from mixtac_fger.weights import Model
 from mixtac_node.graph import is_virtual, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
