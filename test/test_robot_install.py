@@ -23,7 +23,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 ROOT = Path(__file__).resolve().parents[1]
-HIDDEN = ('torch', 'matplotlib', 'mixtac_sim', 'mixtac_learning', 'mixtac_lab', 'mixtac_cli')
+HIDDEN = ('torch', 'matplotlib', 'mixtac_sim', 'mixtac_learning', 'mixtac_cli')
 NODES = {
     'driver': 'mixtac_driver.node.driver_node',
     'fger': 'mixtac_fger.fger_node',

@@ -39,7 +39,7 @@ def test_the_tree_is_in_order():
     [
         ('mixtac_sim', 'core', 'import mixtac_driver\n', 'not on a lower floor'),
         ('mixtac_driver', 'core', 'from mixtac_cli.main import x\n', 'not on a lower floor'),
-        ('mixtac_learning', 'core', 'from mixtac_lab import x\n', 'not on a lower floor'),
+        ('mixtac_learning', 'core', 'from mixtac_cli import x\n', 'not on a lower floor'),
         ('mixtac_sim', 'core', 'def f():\n    import rclpy.qos\n', 'only *_node.py'),
         ('mixtac_fger', 'core', 'def f():\n    import torch\n', 'not installed on robots'),
         ('mixtac_driver', 'core', 'import matplotlib.pyplot\n', 'not installed on robots'),

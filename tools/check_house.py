@@ -50,8 +50,7 @@ FLOORS = {
     'mixtac_learning': 5,
     'mixtac': 5,
     'mixtac_cli': 6,
-    'mixtac_lab': 7,
-    'mixtac_bringup': 8,
+    'mixtac_bringup': 7,
 }
 RUN = frozenset(
     {
@@ -78,9 +77,8 @@ CEILINGS = {
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
     'mixtac': 445,
-    'mixtac_learning': 4285,
-    'mixtac_cli': 4420,
-    'mixtac_lab': 2644,
+    'mixtac_learning': 6330,
+    'mixtac_cli': 3970,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""
 SMALL = 60

@@ -307,7 +307,7 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
 
     Args:
         robot: Without command line and simulator.
-        extras: Optional parts to install as well, named as their files in requirements/.
+        extras: Optional parts to install as well, named as in pyproject.toml.
     """
     check_python()
     distro = full_ros()

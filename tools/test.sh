@@ -4,8 +4,6 @@
 # All tests, or those that the arguments name: what runs in real time, one after the other, and
 # beside it the calculations, two at a time, in the time that the former leave. Calculations come in
 # the order of collection, which begins with the slow files, so that none is left over at the end.
-# A starved host loses messages of best-effort topics and answers of the virtual camera: what failed
-# runs once more, alone, when all have ended, and both results are shown.
 set -u
 cd "$(dirname "$0")/.."
 none=5 # pytest's status when nothing was selected
@@ -30,20 +28,6 @@ live=$?
 tail -n +1 -f --pid=$calculating "$calculations"
 wait $calculating
 calculated=$?
-failed_ones=(--last-failed --last-failed-no-failures none)
-if [ $live = 1 ]; then
-    echo 'once more, alone: what failed in real time'
-    "${live_tests[@]}" "${failed_ones[@]}" "$@"
-    live=$?
-    [ $live = $none ] && live=1
-fi
-if [ $calculated = 1 ]; then
-    echo 'once more, alone: calculations that failed'
-    # By a worker as before: the names of failed tests contain their group.
-    "${calculation_tests[@]}" -n 1 "${failed_ones[@]}" "$@"
-    calculated=$?
-    [ $calculated = $none ] && calculated=1
-fi
 if [ $calculated = $none ]; then exit $live; fi
 if [ $calculated != 0 ] || [ $live = $none ]; then exit $calculated; fi
 exit $live

@@ -10,7 +10,7 @@ setup(
     name=PACKAGE,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={PACKAGE: ['py.typed']},
+    package_data={PACKAGE: ['py.typed', 'experiments/*.yaml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -19,7 +19,7 @@ setup(
     zip_safe=True,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description="Training, adaptation and evaluation of Mixtac's force estimators",
+    description="Training and evaluation of Mixtac's force estimators, and the paper's experiments",
     license='Apache-2.0',
     entry_points={
         'mixtac.estimators': ['fger_paper = mixtac_learning.paper.live:PaperEstimator'],

@@ -170,7 +170,7 @@ class _Run:
         assert self._identity is not None  # noqa: S101  (the source is open)
         for frame in decoded.frames:
             self._take_frame(frame, origin_us)
-        kept = self._driver.mask.keep(decoded.events, self._identity.geometry.event_size)
+        kept = self._driver.mask.keep(decoded.events)
         # The driver's arrays are overwritten by the next batch.
         events = Events(kept.t + origin_us, kept.x.copy(), kept.y.copy(), kept.polarity.copy())
         with self._lock:
@@ -353,8 +353,7 @@ class Sensor:
         identity = source.status().identity
         assert identity is not None  # noqa: S101  (it was opened)
         width, height = size = identity.geometry.event_size
-        if source.control is not None:
-            driver.use_size(size)
+        driver.use_size(size)
         estimator = open_estimator(model)
         check_camera(estimator, model.card, CameraFacts(width, height, serial=identity.serial))
         if not settings.reference and kind is SourceKind.CAMERA:

@@ -37,12 +37,8 @@ START_TIMEOUT_S = 60.0
 CAMERA_NAME = 'davis346'
 TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
 HINTS = {
-    'x': 'move the board to the left and right edge',
-    'y': 'move the board to the top and bottom edge',
-    'size': 'hold the board nearer and further away',
-    'skew': 'tilt and turn the board',
-    'coverage': 'move the board into the image corners',
-    'views': 'a few more views',
+    'coverage': 'move the board to every edge and corner of the image',
+    'views': 'tilt and turn the board, nearer and further away',
 }
 
 
@@ -234,20 +230,17 @@ def _summary(solution: Solution, seen: int, found: int) -> dict[str, Any]:
 
 
 def draw_calibration(path: Path, solution: Solution) -> None:
-    """Save a figure: the corners on the image, and the error of each view.
+    """Save a figure of the corners on the image.
 
     Raises:
         FileError: The file cannot be written, or its suffix names no format.
     """
     calibration = solution.calibration
-    figure, (image, errors) = new_axes(columns=2, width=11.0, height=4.2)
+    figure, (axes,) = new_axes(columns=1, width=6.0, height=4.5)
     corners = np.concatenate([view.corners for view in solution.views])
-    image.plot(*corners.T, '.', color=REFERENCE, ms=2)
-    image.plot(*calibration.camera_matrix[:2, 2], '+', color=FORCE, ms=12, mew=2)
-    image.set(xlim=(0, calibration.width), ylim=(calibration.height, 0), aspect='equal')
-    image.set(xlabel='column [px]', ylabel='row [px]', title='corners, and the optical axis')
-    errors.bar(np.arange(len(solution.view_rms_px)), solution.view_rms_px, color=REFERENCE)
-    errors.axhline(solution.rms_px, color=FORCE, lw=1.0)
-    errors.set(xlabel='view', ylabel='reprojection error [px]')
-    errors.set_title(f'{calibration.model}: {solution.rms_px:.3f} px over all views')
+    axes.plot(*corners.T, '.', color=REFERENCE, ms=2)
+    axes.plot(*calibration.camera_matrix[:2, 2], '+', color=FORCE, ms=12, mew=2)
+    axes.set(xlim=(0, calibration.width), ylim=(calibration.height, 0), aspect='equal')
+    axes.set(xlabel='column [px]', ylabel='row [px]')
+    axes.set_title(f'{calibration.model}: {solution.rms_px:.3f} px')
     save_figure(figure, path)

@@ -14,7 +14,7 @@ import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,18 +26,19 @@ from rich.markup import escape
 from rich.table import Table
 
 from mixtac_cli.options import JsonFile, OptionalPath
+from mixtac_driver.camera import Davis346
 from mixtac_driver.device import check_device, is_real
-from mixtac_driver.doctor.computer import (
+from mixtac_driver.doctor import (
     Finding,
-    HostFiles,
     Level,
+    Measurement,
+    check_attached,
     check_computer,
+    check_running,
     first_to_do,
     ok,
     worst,
 )
-from mixtac_driver.doctor.stream import Measurement, check_running
-from mixtac_driver.doctor.usb import check_attached
 from mixtac_driver.parameters import DriverParameters
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import replacing, state_file, writable, write_json
@@ -46,10 +47,9 @@ from mixtac_node.parameters import parameter_file
 VIRTUAL = 'virtual'
 SAFE_DOMAINS = range(102)
 """Above these, the ports of DDS overlap the ports that Linux uses for outgoing connections."""
-DEVICE_SEED = 1001
 SEED = 1001
+"""Seed of the virtual sensor that is started for a check, and of its noise."""
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
-DEFAULT_SECONDS = 3.0
 MOST_WORDS = 64 << 20
 """Largest raw data in a bundle [bytes]."""
 
@@ -61,7 +61,7 @@ def doctor(
     ] = '',
     seconds: Annotated[
         float, typer.Option(min=0.5, max=600, help='How long to measure the camera (s).')
-    ] = DEFAULT_SECONDS,
+    ] = 3.0,
     json: JsonFile = None,
     bundle: Annotated[
         OptionalPath,
@@ -73,51 +73,61 @@ def doctor(
     ] = None,
 ) -> None:
     """Check software, camera and computer, measure the camera, and suggest fixes."""
-    console = Console()
-    words = io.BytesIO()
-
-    def keep(data: bytes) -> None:
-        if bundle is not None and words.tell() < MOST_WORDS:
-            words.write(data)
-
-    sections = []
-    for section, found in examine(device, seconds, serial=serial, on_transfer=keep):
-        sections.append((section, found))
+    console, raw = Console(), RawData() if bundle is not None else None
+    p = DriverParameters(device=device, serial=serial)
+    findings: list[Finding] = []
+    rows: list[dict[str, object]] = []
+    for section, found in examine(p, seconds, raw=raw):
+        findings += found
+        rows += [_row(section, finding) for finding in found]
         console.print(table(section, found))
-    findings = [finding for _, found in sections for finding in found]
     level, first, verdict = worst(findings), first_to_do(findings), 'no problems found'
     if first is not None:
         verdict = f'fix first: {first.name}: {first.remedy or first.found}'
     console.print(f'[{STYLES[level]}]{escape(verdict)}', soft_wrap=True)
-    rows = [_row(section, finding) for section, found in sections for finding in found]
     report: dict[str, Any] = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
     report['findings'] = rows
     write_json(json, report)
-    if bundle is not None:
-        write_bundle(bundle, report, DriverParameters(device=device, serial=serial), words)
+    if bundle is not None and raw is not None:
+        write_bundle(bundle, report, p, raw)
         console.print(f'written to {escape(str(bundle))}', soft_wrap=True)
     if level is Level.ERROR:
         raise typer.Exit(1)
 
 
-def write_bundle(
-    path: Path, report: dict[str, Any], parameters: DriverParameters, words: io.BytesIO
-) -> None:
+@dataclass
+class RawData:
+    """What a camera sent while it was measured.
+
+    Attributes:
+        words: Its bytes, as the decoder reads them; the first `MOST_WORDS`.
+        registers: Value by `module:parameter`.
+    """
+
+    words: io.BytesIO = field(default_factory=io.BytesIO)
+    registers: dict[str, int] = field(default_factory=dict)
+
+    def add(self, data: bytes) -> None:
+        """Append the data of a transfer."""
+        if self.words.tell() < MOST_WORDS:
+            self.words.write(data)
+
+
+def write_bundle(path: Path, report: dict[str, Any], p: DriverParameters, raw: RawData) -> None:
     """Write a zip file for a bug report.
 
-    It holds `findings.json`, `versions.json`, `driver.yaml` with the settings of the camera, which
-    determine all its registers, and `words.bin`: the bytes that the camera sent, as the decoder
-    reads them.
+    It holds `findings.json`, `versions.json`, `driver.yaml` with the settings of the camera,
+    `registers.json` with its registers, and `words.bin` with the bytes that it sent.
 
     Raises:
         FileError: The file cannot be written.
     """
-    installed = {each.name: each.version for each in distributions() if each.name}
-    versions = {'python': sys.version, 'packages': dict(sorted(installed.items()))}
+    packages = {each.name: each.version for each in distributions() if each.name}
     texts = {
         'findings.json': json_format.dumps(report, indent=2),
-        'versions.json': json_format.dumps(versions, indent=2),
-        'driver.yaml': parameter_file('driver', parameters),
+        'versions.json': json_format.dumps({'python': sys.version, **packages}, indent=2),
+        'registers.json': json_format.dumps(raw.registers, indent=2),
+        'driver.yaml': parameter_file('driver', p),
     }
     home = str(Path.home())
     with (
@@ -126,7 +136,7 @@ def write_bundle(
     ):
         for name, text in texts.items():
             archive.writestr(name, text if home == '/' else text.replace(home, '~'))
-        archive.writestr('words.bin', words.getvalue())
+        archive.writestr('words.bin', raw.words.getvalue())
 
 
 def _row(section: str, finding: Finding) -> dict[str, object]:
@@ -140,44 +150,43 @@ def _row(section: str, finding: Finding) -> dict[str, object]:
 
 
 def examine(
-    device: str,
-    seconds: float,
-    *,
-    serial: str = '',
-    root: Path = Path('/'),
-    on_transfer: Any = None,  # noqa: ANN401
+    p: DriverParameters, seconds: float, *, root: Path = Path('/'), raw: RawData | None = None
 ) -> Iterator[tuple[str, list[Finding]]]:
     """Check everything; yield each section when it is done.
 
     Args:
-        device: `davis346`, `virtual` or `virtual:PATH`.
+        p: Device (`davis346`, `virtual` or `virtual:PATH`) and serial number.
         seconds: How long to measure the camera [s].
-        serial: Serial number of the camera, or empty for the only one.
         root: Folder used as the root of the file system.
-        on_transfer: Called with the data of each transfer.
+        raw: Receives what the camera sent.
 
     Raises:
         UnknownDeviceError: The device string is unknown.
     """
-    check_device(device)
-    files = HostFiles(root)
-    options: dict[str, Any] = {'serial': serial, 'more': check_zero, 'on_transfer': on_transfer}
-    software = [check_ros(os.environ), check_domain(os.environ), check_security(os.environ)]
-    software.append(check_model())
-    if is_real(device):
-        yield 'software', [*software, check_virtual_sensor()]
-        attached = check_attached(files, serial)
+    check_device(p.device)
+
+    def more(camera: Davis346, measured: Measurement) -> Finding:
+        if raw is not None:
+            raw.registers = camera.control.registers()
+        return check_zero(camera.identity.serial, measured)
+
+    def running(backend: Any) -> list[Finding]:  # noqa: ANN401
+        on_transfer = None if raw is None else raw.add
+        options: dict[str, Any] = {'more': more, 'on_transfer': on_transfer}
+        return list(check_running(p, seconds, backend=backend, **options))
+
+    yield 'software', [check_ros(os.environ), check_domain(os.environ), check_model()]
+    if is_real(p.device):
+        attached = check_attached(p.serial, root)
         yield 'camera', attached
         if worst(attached) < Level.ERROR:
-            yield 'measured', list(check_running(device, seconds, **options))
+            yield 'measured', running(None)
     else:
-        yield 'software', software
-        with virtual_camera(device) as (backend, finding):
+        with virtual_camera(p.device) as (backend, finding):
             yield 'camera', [finding]
             if backend is not None:
-                found = check_running(device, seconds, backend=backend, **options)
-                yield 'measured', list(found)
-    yield 'computer', check_computer(files, Path.cwd())
+                yield 'measured', running(backend)
+    yield 'computer', check_computer(Path.cwd(), root)
 
 
 def table(section: str, findings: list[Finding]) -> Table:
@@ -222,18 +231,6 @@ def check_domain(environment: Mapping[str, str]) -> Finding:
         found = f'ROS_DOMAIN_ID={text}: its ports may be in use by outgoing connections'
         return Finding(name, Level.WARN, found, remedy)
     return ok(name, f'{text}, discovery range {reach}', domain=int(text), range=reach)
-
-
-def check_security(environment: Mapping[str, str]) -> Finding:
-    """Report whether SROS 2 is on, and whether nodes without keys are refused."""
-    name = 'ROS security'
-    if environment.get('ROS_SECURITY_ENABLE') != 'true':
-        return ok(name, 'off: every program in the ROS domain may read and publish')
-    if environment.get('ROS_SECURITY_STRATEGY') != 'Enforce':
-        found = 'on, but nodes without keys start unprotected'
-        remedy = 'export ROS_SECURITY_STRATEGY=Enforce, see docs/security.md'
-        return Finding(name, Level.WARN, found, remedy)
-    return ok(name, 'on and enforced')
 
 
 def check_model() -> Finding:
@@ -302,16 +299,6 @@ def check_zero(serial: str, measured: Measurement) -> Finding:
     return Finding(name, level, found, wrong[0] if wrong else '', values)
 
 
-def check_virtual_sensor() -> Finding:
-    """Check whether the virtual sensor is installed."""
-    try:
-        check_device(VIRTUAL)
-    except MixtacError as error:
-        remedy = 'build the workspace with mixtac_sim: make setup'
-        return Finding('virtual sensor', Level.WARN, str(error), remedy)
-    return ok('virtual sensor', 'installed; use it with --device virtual')
-
-
 @contextmanager
 def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
     """Find the virtual sensor of a device string, or start one in this process.
@@ -335,18 +322,15 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
     else:
         yield backend, ok(name, 'a running one is checked')
         return
-    with _own_sensor() as own:
-        yield own, ok(name, 'none is running; one was started for this check')
-
-
-@contextmanager
-def _own_sensor() -> Iterator[Any]:
     from mixtac_sim.live.virtual_sensor import make_virtual_sensor
     from mixtac_sim.usb.pyusb_backend import in_process_backend
 
-    sensor = make_virtual_sensor(device_seed=DEVICE_SEED, seed=SEED)
+    sensor = make_virtual_sensor(device_seed=SEED, seed=SEED)
     sensor.start()
     try:
-        yield in_process_backend(sensor.device)
+        yield (
+            in_process_backend(sensor.device),
+            ok(name, 'none is running; one was started for this check'),
+        )
     finally:
         sensor.close()

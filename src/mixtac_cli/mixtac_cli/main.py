@@ -11,22 +11,37 @@ from __future__ import annotations
 import importlib
 import io
 import sys
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
 from mixtac_events.errors import MixtacError, error_line
+from mixtac_learning.experiments import EXPERIMENTS
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
+
+def mixtac() -> None:
+    """Mixtac: event- and frame-based tactile force sensing in ROS 2."""
+
+
+def experiments() -> None:
+    """The paper's experiments."""
+
 
 COMMANDS = {
+    '': mixtac,
     'align': 'mixtac_cli.align:align',
     'calibrate': 'mixtac_cli.calibrate:calibrate',
     'calibrate-force': 'mixtac_cli.calibrate_force.command:calibrate_force',
     'demo': 'mixtac_cli.demo.command:demo',
     'doctor': 'mixtac_cli.doctor:doctor',
     'evaluate': 'mixtac_learning.commands:evaluate',
+    'experiments': {'': experiments, **EXPERIMENTS},
     'export': 'mixtac_cli.export:export',
     'import': 'mixtac_cli.export:import_',
     'inspect': 'mixtac_cli.export:inspect',
@@ -34,119 +49,76 @@ COMMANDS = {
     'repair': 'mixtac_cli.export:repair',
     'simulate': 'mixtac_cli.simulate:simulate',
     'train': 'mixtac_learning.commands:train',
-    'up': 'mixtac_cli.up:up',
+    'up': {'': 'mixtac_cli.up:up', 'slip': 'mixtac_cli.up:slip'},
     'view': 'mixtac_cli.up:view',
 }
-UP = {'slip': 'mixtac_cli.up:slip'}
-EXPERIMENTS = {
-    'all': 'mixtac_lab.experiments.harness:all_experiments',
-    'comparison': 'mixtac_lab.experiments.paper.comparison:comparison',
-    'fusion': 'mixtac_lab.experiments.paper.forces:fusion',
-    'impact': 'mixtac_lab.experiments.paper.forces:impact',
-    'inputs': 'mixtac_lab.experiments.paper.forces:inputs',
-    'model': 'mixtac_lab.experiments.paper.model:model',
-    'models': 'mixtac_lab.experiments.models:models',
-    'slip': 'mixtac_lab.experiments.paper.slip:slip',
-    'stability': 'mixtac_lab.experiments.paper.forces:stability',
-    'vibration': 'mixtac_lab.experiments.paper.vibration:vibration',
-}
-INTERRUPTED = 130
+"""Function of each command as `module:name`; a dictionary is a group, with its function at ''."""
 
 
 class Commands(TyperGroup):
-    """Commands that are imported on demand.
+    """A group whose commands are imported on demand.
 
     Attributes:
-        targets: Function of each command as `module:name`, or a group of commands.
+        targets: Its part of `COMMANDS`.
     """
 
-    targets: Mapping[str, Any]
+    targets: ClassVar[Mapping[str, Any]]
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002
         """Return the names of the commands, sorted."""
-        return sorted(self.targets)
+        return sorted(filter(None, self.targets))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
         """Return a command, None for an unknown one."""
-        target = self.targets.get(cmd_name)
-        if not isinstance(target, str):
-            return target
-        app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        try:
-            app.command(cmd_name)(load(target))
-        except MixtacError as error:
-            app.command(cmd_name, help=str(error))(raising(error))
-        return get_command(app)
+        target = self.targets.get(cmd_name) if cmd_name else None
+        return target and make_command(cmd_name, target)
 
 
-def load(target: str) -> Any:  # noqa: ANN401
-    """Return the function that `module:name` names.
-
-    Raises:
-        MixtacError: A package that it needs is not installed.
-    """
-    module, _, name = target.partition(':')
-    try:
-        return getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        if error.name is None or (error.name.startswith('mixtac') and error.name in module):
-            remedy = 'install the whole of Mixtac, not only the part for robots'
-        else:
-            remedy = f"install it: pip install '{error.name}', or an extra of pyproject.toml"
-        raise MixtacError(f'{error.name} is not installed', remedy=remedy) from error
-
-
-def raising(error: MixtacError) -> Any:  # noqa: ANN401
-    """Return a command that raises an error: the help lists it, with the reason."""
-
-    def command() -> None:
-        raise error
-
-    return command
-
-
-def group(name: str, targets: Mapping[str, Any], text: str, function: Any = None) -> Any:  # noqa: ANN401
-    """Return a group of commands.
+def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: ANN401
+    """Return a command or a group of commands for typer.
 
     Args:
         name: Its name.
-        targets: Its commands, see `Commands`.
-        text: Its help.
-        function: Called without a sub-command; None prints the help.
+        target: One of the values of `COMMANDS`, or all of it.
     """
-    cls = type('Commands', (Commands,), {'targets': targets})
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    if function is None:
-        app.callback(cls=cls, no_args_is_help=True, help=text)(lambda: None)
+    if isinstance(target, str):
+        app.command(name)(load(target))
     else:
-        app.callback(cls=cls, invoke_without_command=True)(function)
+        cls = type('Group', (Commands,), {'targets': target})
+        works = isinstance(target[''], str)
+        function = load(target['']) if works else target['']
+        app.callback(cls=cls, invoke_without_command=works, no_args_is_help=not works)(function)
     command = get_command(app)
     command.name = name
     return command
 
 
-class Root(Commands):
-    """The commands, with `up` and `experiments` as groups."""
+def load(target: str) -> Callable[..., Any]:
+    """Return the function that `module:name` names.
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401
-        """Return a command, None for an unknown one."""
-        if cmd_name == 'up':
-            return group('up', UP, '', load(COMMANDS['up']))
-        if cmd_name == 'experiments':
-            return group('experiments', EXPERIMENTS, "The paper's experiments.")
-        return super().get_command(ctx, cmd_name)
+    Where a package that it needs is not installed, the returned function raises an error about it.
+    """
+    module, _, name = target.partition(':')
+    try:
+        return getattr(importlib.import_module(module), name)  # type: ignore[no-any-return]
+    except ModuleNotFoundError as error:
+        if error.name is None or (error.name.startswith('mixtac') and error.name in module):
+            remedy = 'install the whole of Mixtac, not only the part for robots'
+        else:
+            remedy = f"install it: pip install '{error.name}', or an extra of pyproject.toml"
+        failure = MixtacError(f'{error.name} is not installed', remedy=remedy)
+
+    def absent() -> None:
+        raise failure
+
+    absent.__doc__ = str(failure)
+    return absent
 
 
 def root() -> Any:  # noqa: ANN401
     """Return the command `mixtac`."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    targets = {**COMMANDS, 'experiments': None}
-    cls = type('Commands', (Root,), {'targets': targets})
-    text = 'Mixtac: event- and frame-based tactile force sensing in ROS 2.'
-    app.callback(cls=cls, no_args_is_help=True, help=text)(lambda: None)
-    command = get_command(app)
-    command.name = 'mixtac'
-    return command
+    return make_command('mixtac', COMMANDS)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -169,7 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(error_line(str(error)), file=sys.stderr)
         return 1
     except OSError as error:
-        # A disk that is full, a name that is too long: what a path meets outside of the program.
+        # A full disk, or a name that is too long.
         place = f'{error.filename}: ' if error.filename else ''
         print(error_line(f'{place}{error.strerror or error}'), file=sys.stderr)
         return 1

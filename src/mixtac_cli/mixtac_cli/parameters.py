@@ -35,8 +35,8 @@ class ViewParameters:
     """Parameters of the live view node.
 
     Attributes:
-        rate: Pictures per second. Samples between two pictures are thinned; peaks are kept.
-        history: Time span of the plots.
+        rate: Pictures per second; each shows all events since the previous one.
+        history: Time span of the plot.
         port: TCP port of the page on 127.0.0.1; 0 selects any free one.
         data_port: TCP port on 127.0.0.1 from which the page reads its data; 0 selects any free one.
         memory: Memory of the server for data shown by pages opened later; the oldest are dropped.

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
-from mixtac_cli.view.server import require_rerun
+from mixtac_cli.view.page import require_rerun
 from mixtac_node.files import writable
 from mixtac_node.graph import (
     NodeSpec,
@@ -265,7 +265,7 @@ def view(
     seconds: RunTime = 0,
     params_file: ParamsFile = None,
 ) -> None:
-    """Show a running sensor in the browser: events, frame, force, slip, rates."""
+    """Show a running sensor in the browser: events, frame, force, contact, state."""
     require_rerun()
     with ProcessGroup() as processes:
         start_nodes(processes, [live_view(port, save)], namespace, params_file)

@@ -78,7 +78,6 @@ def frames():
 @pytest.mark.usefixtures('ros_domain')
 def test_live_images_are_collected_until_there_are_enough(tmp_path, frames, monkeypatch, capfd):
     monkeypatch.setattr(view_selection, 'WANTED_VIEWS', 10)
-    monkeypatch.setattr(view_selection, 'WANTED_SPREAD', (0.4, 0.4, 0.1, 0.2))
     with Camera(frames):
         calibrate.calibrate(out=tmp_path / 'camera.yaml', json=tmp_path / 'result.json')
     assert json.loads((tmp_path / 'result.json').read_text())['views'] >= 8

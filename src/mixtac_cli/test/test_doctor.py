@@ -8,6 +8,7 @@ import json
 import math
 import os
 import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ import typer
 from typer.testing import CliRunner
 
 from mixtac_cli import doctor
-from mixtac_driver.doctor.computer import Finding, Level, ok
-from mixtac_driver.doctor.stream import Measurement
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_driver.doctor import Finding, Level, Measurement, ok
 from mixtac_driver.errors import UnknownDeviceError
+from mixtac_driver.parameters import DriverParameters
 from mixtac_events.readings import Frame
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.reference import reference_name
@@ -26,6 +29,7 @@ from mixtac_recordings.messages import left_aligned
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.server import UsbServer
 
+TEXTS = ('findings.json', 'versions.json', 'registers.json', 'driver.yaml')
 WARNING = Finding('disk', Level.WARN, '1 GB free', 'use another disk', {'free [GB]': math.nan})
 ERROR = Finding('libusb', Level.ERROR, 'libusb is missing', 'install [it]')
 
@@ -104,7 +108,7 @@ def test_the_picture_is_compared_with_the_kept_zero(monkeypatch, tmp_path):
 def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
     (tmp_path / 'sys/bus/usb/devices').mkdir(parents=True)
-    sections = dict(doctor.examine('davis346', 1.0, root=tmp_path))
+    sections = dict(doctor.examine(DriverParameters(), 1.0, root=tmp_path))
     assert list(sections) == ['software', 'camera', 'computer']
     findings = [each for found in sections.values() for each in found]
     errors = [f for f in findings if f.level is Level.ERROR and f.name != 'ROS 2']
@@ -114,7 +118,7 @@ def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
 
 def test_an_unknown_device_is_refused_before_anything():
     with pytest.raises(UnknownDeviceError) as caught:
-        next(doctor.examine('davis640', 1.0))
+        next(doctor.examine(DriverParameters(device='davis640'), 1.0))
     assert 'davis640' in str(caught.value)
 
 
@@ -139,7 +143,8 @@ def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     # Where nobody serves a virtual sensor.
     monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
-    sections = dict(doctor.examine('virtual', 1.0))
+    raw = doctor.RawData()
+    sections = dict(doctor.examine(DriverParameters(device='virtual'), 1.0, raw=raw))
     assert [found.level for found in sections['camera']] == [Level.OK]
     measured = sections['measured']
     names = [f.name for f in measured]
@@ -148,6 +153,16 @@ def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     # A busy computer may miss some.
     assert 0 < found['frames']['frames [1/s]'] < 28
     assert 0 < found['inertial samples']['inertial samples [1/s]'] < 1100
+    doctor.write_bundle(tmp_path / 'bundle.zip', {}, DriverParameters(), raw)
+    with zipfile.ZipFile(tmp_path / 'bundle.zip') as bundle:
+        names = bundle.namelist()
+        registers = json.loads(bundle.read('registers.json'))
+        decoder = StreamDecoder(Geometry())
+        batches = [*decoder.push(bundle.read('words.bin'))]
+    assert names == [*TEXTS, 'words.bin']
+    assert registers['6:0'] == 18
+    assert sum(len(batch.frames) for batch in batches) > 0
+    assert decoder.counters.words_accounted == decoder.counters.words
 
 
 @pytest.mark.parametrize(
@@ -165,18 +180,6 @@ def test_ros_domain(domain, level):
     finding = doctor.check_domain({} if domain is None else {'ROS_DOMAIN_ID': domain})
     assert finding.level is level
     assert ('export ROS_DOMAIN_ID' in finding.remedy) == (level > Level.OK)
-
-
-@pytest.mark.parametrize(
-    ('environment', 'level'),
-    [
-        ({}, Level.OK),
-        ({'ROS_SECURITY_ENABLE': 'true'}, Level.WARN),
-        ({'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}, Level.OK),
-    ],
-)
-def test_security_is_named(environment, level):
-    assert doctor.check_security(environment).level is level
 
 
 def test_ros_is_named():
@@ -198,9 +201,3 @@ def test_the_model_is_loaded(monkeypatch, tmp_path):
     monkeypatch.setattr('mixtac_fger.weights.DEFAULT_MODEL', f'{tmp_path}/none.safetensors')
     finding = doctor.check_model()
     assert (finding.level, bool(finding.remedy)) == (Level.ERROR, True)
-
-
-def test_the_virtual_sensor_is_looked_for(monkeypatch):
-    assert doctor.check_virtual_sensor().level is Level.OK
-    monkeypatch.setattr(doctor, 'VIRTUAL', 'none')
-    assert doctor.check_virtual_sensor().level is Level.WARN

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -115,22 +115,6 @@ class Board:
         return np.asarray(flat.reshape(-1, 3))
 
 
-class ViewMeasures(NamedTuple):
-    """Place and pose of a board in a view, each 0 .. 1.
-
-    Attributes:
-        x: From the left to the right of the image.
-        y: From the top to the bottom.
-        size: Square root of the share of the image that the board covers.
-        skew: Deviation of the board's corner from a right angle.
-    """
-
-    x: float
-    y: float
-    size: float
-    skew: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """A board in one frame.
@@ -148,21 +132,6 @@ class View:
     width: int
     height: int
     label: str = ''
-
-    def measures(self) -> ViewMeasures:
-        """Return place and pose of the board."""
-        grid = self.corners.reshape(self.board.rows, self.board.columns, 2)
-        quad = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]])
-        across, along = quad[2] - quad[0], quad[3] - quad[1]
-        area = 0.5 * abs(float(across[0] * along[1] - across[1] * along[0]))
-        border = np.sqrt(area)
-        room = np.maximum((self.width - border, self.height - border), 1.0)
-        place = ((self.corners.mean(axis=0) - border / 2.0) / room).clip(0.0, 1.0)
-        a, b = quad[0] - quad[1], quad[2] - quad[1]
-        cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
-        skew = min(1.0, 2.0 * abs(np.pi / 2.0 - np.arccos(np.clip(cosine, -1.0, 1.0))))
-        size = np.sqrt(area / (self.width * self.height))
-        return ViewMeasures(float(place[0]), float(place[1]), float(size), float(skew))
 
 
 def find_board(image: Grey, board: Board, label: str = '') -> View | None:
@@ -212,17 +181,17 @@ def _refined(grey: NDArray[np.uint8], corners: Floats, board: Board) -> Floats:
 
 
 CELL_COLUMNS = 8
+"""Columns of the grid on which coverage is counted."""
 CELL_ROWS = 6
-"""Columns and rows of the grid on which coverage is counted."""
-WANTED_SPREAD = ViewMeasures(0.6, 0.6, 0.25, 0.4)
-"""Range of each measure over all views that counts as complete."""
+"""Rows of the grid on which coverage is counted."""
 WANTED_COVERAGE = 0.75
 """Share of the cells with a corner that counts as complete."""
 WANTED_VIEWS = 20
+"""Views that count as complete."""
 MAX_VIEWS = 60
 """More views make the fit slow and add nothing."""
-MIN_DISTANCE = 0.2
-"""Least sum of the differences of the measures between two views that are kept."""
+LEAST_MOVE_PX = 15.0
+"""Least mean distance between the corners of two views that are kept [px]."""
 
 
 def coverage(views: Sequence[View]) -> float:
@@ -244,28 +213,26 @@ class ViewSelection:
 
     def __init__(self) -> None:
         self.views: list[View] = []
-        self._measures: list[ViewMeasures] = []
 
     def offer(self, view: View) -> bool:
         """Keep a view if it shows the board at another place or pose; return whether it is kept."""
-        new = view.measures()
-        distances = [np.abs(np.subtract(new, each)).sum() for each in self._measures]
-        added = coverage([*self.views, view]) > coverage(self.views)
-        if len(self.views) >= MAX_VIEWS or (
-            min(distances, default=1.0) < MIN_DISTANCE and not added
+        moves_px = [
+            np.linalg.norm(view.corners - each.corners, axis=1).mean() for each in self.views
+        ]
+        adds = coverage([*self.views, view]) > coverage(self.views)
+        if len(self.views) >= MAX_VIEWS or not (
+            adds or min(moves_px, default=np.inf) > LEAST_MOVE_PX
         ):
             return False
         self.views.append(view)
-        self._measures.append(new)
         return True
 
     def progress(self) -> dict[str, float]:
         """Return to what degree each demand is met, 0 .. 1, by name."""
-        ranges = np.ptp(self._measures, axis=0) if self.views else np.zeros(4)
-        shares = dict(zip(ViewMeasures._fields, ranges / WANTED_SPREAD, strict=True))
-        shares['coverage'] = coverage(self.views) / WANTED_COVERAGE
-        shares['views'] = len(self.views) / WANTED_VIEWS
-        return {name: float(min(1.0, share)) for name, share in shares.items()}
+        return {
+            'coverage': min(1.0, coverage(self.views) / WANTED_COVERAGE),
+            'views': min(1.0, len(self.views) / WANTED_VIEWS),
+        }
 
     @property
     def complete(self) -> bool:

@@ -17,7 +17,7 @@ from mixtac_driver.davis346.model import Identity, models_for, read_identity, re
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.decode.state import DecoderCounters
 from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
-from mixtac_driver.errors import DriverError, StreamError
+from mixtac_driver.errors import DriverError, HungReadError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
 from mixtac_driver.usb.transport import (
@@ -320,18 +320,25 @@ class Davis346:
 
         Raises:
             UsbError: A request failed, as it does when the camera is gone.
-            StreamError: The read in progress does not return.
+            HungReadError: A read does not return.
         """
         self.request_stop()
         if self._reader is not None and self._connection is not None:
             self.control.stop(self._reader.stop)
 
     def close(self) -> None:
-        """Stop streaming if necessary and close the camera; harmless when it is gone."""
+        """Stop streaming if necessary and close the camera; harmless when it is gone.
+
+        Raises:
+            HungReadError: A read does not return: end the process.
+        """
         try:
             self.stop()
+        except HungReadError:
+            # Closing the handle below a read could crash the process.
+            raise
         except DriverError:
-            # Gone or stuck: it cannot be stopped, and the handle below is closed.
+            # It is gone and cannot be stopped; the handle below is closed.
             self.request_stop()
         self.control.detach()
         connection, self._connection = self._connection, None

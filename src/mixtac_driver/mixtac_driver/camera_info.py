@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration of a camera as in `sensor_msgs/CameraInfo`, its files, and undistorted events.
 
-Files are YAML as camera_info_manager and `camera_calibration` write them. Calibrations of OpenCV
-(`%YAML:1.0`) and camchains of Kalibr are read as well. OpenCV evaluates the lens models.
+Files are YAML as camera_info_manager and `camera_calibration` write them. OpenCV evaluates the lens
+models.
 """
 
 from __future__ import annotations
@@ -35,10 +35,6 @@ MODELS = {
     EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
 }
 """Names of the coefficients by distortion model."""
-KALIBR_MODELS = {'radtan': PLUMB_BOB, 'equidistant': EQUIDISTANT}
-"""Distortion model by its name in a camchain of Kalibr."""
-MAX_BYTES = 1 << 20
-"""Largest calibration file [bytes]."""
 ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity."""
 
@@ -137,20 +133,20 @@ def resolve(url: str, camera_name: str) -> Path:
     """Return the file that a URL names; it need not exist.
 
     Args:
-        url: `file:///path`, `package://name/path` or a path, with `${NAME}` and `${ROS_HOME}`.
+        url: `file:///path` or a path, with `${NAME}` and `${ROS_HOME}`; empty for `DEFAULT_URL`.
         camera_name: Value of `${NAME}`.
 
     Raises:
-        CalibrationError: Unknown scheme, variable or package, or a name with other characters than
-            letters, digits and `_`.
+        CalibrationError: Unknown scheme or variable, or a name with other characters than letters,
+            digits and `_`.
     """
     if not re.fullmatch(r'\w+', camera_name):
         raise CalibrationError(f'camera_name {camera_name!r}: use letters, digits and _ only')
     home = os.environ.get('ROS_HOME') or str(Path.home() / '.ros')
     text = (url or DEFAULT_URL).replace('${NAME}', camera_name).replace('${ROS_HOME}', home)
-    scheme, separator, rest = text.partition('://')
     if '${' in text:
         raise CalibrationError(f'camerainfo_url {url!r}: use the variables ROS_HOME and NAME only')
+    scheme, separator, rest = text.partition('://')
     if not separator:
         return Path(text).expanduser().absolute()
     if scheme == 'file' and rest.startswith('/'):
@@ -179,7 +175,11 @@ def read_camera_info(path: Path) -> CameraCalibration:
             the key.
     """
     try:
-        return parse_camera_info(_text(path), path.stem)
+        return parse_camera_info(path.read_text(encoding='utf-8'), path.stem)
+    except FileNotFoundError as error:
+        raise CalibrationError(f'{path}: no such file: write it with `mixtac calibrate`') from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f'{path}: cannot be read ({error}): check the path') from error
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error.message}', remedy=error.remedy) from error
 
@@ -194,50 +194,22 @@ def parse_camera_info(text: str, name: str = 'camera') -> CameraCalibration:
     Raises:
         CalibrationError: As `read_camera_info`.
     """
-    # OpenCV writes a directive and tags that YAML does not know.
-    text = re.sub(r'^%YAML:1\.0\s*(---)?', '', text).replace('!!opencv-matrix', '')
     try:
         document = load_yaml(text)
     except FileError as error:
         raise CalibrationError(error.message, remedy='recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
-    if 'cam0' in document:
-        document = _of_kalibr(document['cam0'])
-    matrix = _matrix(document, 'camera_matrix', (3, 3))
-    coefficients = _matrix(document, 'distortion_coefficients', None).ravel()
-    model = document.get('distortion_model', RATIONAL if len(coefficients) == 8 else PLUMB_BOB)
-    if model == PLUMB_BOB and len(coefficients) == 4:
-        coefficients = np.append(coefficients, 0.0)
-    identity = np.eye(3)
     return CameraCalibration(
         name=str(document.get('camera_name', name)),
         width=_whole(document, 'image_width'),
         height=_whole(document, 'image_height'),
-        model=str(model),
-        distortion=coefficients,
-        camera_matrix=matrix,
-        rectification=_matrix(document, 'rectification_matrix', (3, 3), identity),
-        projection=_matrix(document, 'projection_matrix', (3, 4), np.eye(3, 4), matrix),
+        model=str(document.get('distortion_model')),
+        distortion=_matrix(document, 'distortion_coefficients').ravel(),
+        camera_matrix=_matrix(document, 'camera_matrix', (3, 3)),
+        rectification=_matrix(document, 'rectification_matrix', (3, 3)),
+        projection=_matrix(document, 'projection_matrix', (3, 4)),
     )
-
-
-def _of_kalibr(camera: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return the first camera of a camchain with the keys of camera_info_manager."""
-    try:
-        fx, fy, cx, cy = camera['intrinsics']
-        width, height = camera['resolution']
-        model, coefficients = camera['distortion_model'], camera['distortion_coeffs']
-        matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-        found = {'distortion_model': KALIBR_MODELS.get(model, model)}
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f'cam0 of this camchain lacks {error}; recalibrate') from error
-    return found | {
-        'image_width': width,
-        'image_height': height,
-        'camera_matrix': {'rows': 3, 'cols': 3, 'data': matrix},
-        'distortion_coefficients': {'rows': 1, 'cols': len(coefficients), 'data': coefficients},
-    }
 
 
 def _whole(document: dict[str, Any], key: str) -> int:
@@ -247,18 +219,9 @@ def _whole(document: dict[str, Any], key: str) -> int:
     return value
 
 
-def _matrix(
-    document: dict[str, Any],
-    key: str,
-    shape: tuple[int, int] | None,
-    default: Floats | None = None,
-    left: Floats | None = None,
-) -> NDArray[np.float64]:
-    """Return a matrix of a file, or `default` with `left` in its first columns."""
-    block: Any = document.get(key)
-    if block is None and default is not None:
-        return default if left is None else np.hstack([left, default[:, left.shape[1] :]])
+def _matrix(document: dict[str, Any], key: str, shape: tuple[int, int] | None = None) -> Floats:
     try:
+        block: Any = document[key]
         # The C++ writer omits the point of 1e-05, which YAML 1.1 then reads as text.
         found = np.array([float(each) for each in block['data']])
         found = found.reshape(int(block['rows']), int(block['cols']))
@@ -276,19 +239,23 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
     """
-    lines = [f'# {line}'.rstrip() for line in comment.splitlines()]
-    name = yaml.safe_dump(calibration.name, default_style="'", width=10_000).strip()
-    lines += [
-        f'image_width: {calibration.width}',
-        f'image_height: {calibration.height}',
-        f'camera_name: {name}',
-        *_block('camera_matrix', calibration.camera_matrix),
-        f'distortion_model: {calibration.model}',
-        *_block('distortion_coefficients', calibration.distortion[None, :]),
-        *_block('rectification_matrix', calibration.rectification),
-        *_block('projection_matrix', calibration.projection),
-    ]
-    return '\n'.join(lines) + '\n'
+
+    def block(matrix: Floats) -> dict[str, Any]:
+        rows, columns = matrix.shape
+        return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
+
+    document = {
+        'image_width': calibration.width,
+        'image_height': calibration.height,
+        'camera_name': calibration.name,
+        'camera_matrix': block(calibration.camera_matrix),
+        'distortion_model': calibration.model,
+        'distortion_coefficients': block(calibration.distortion[None, :]),
+        'rectification_matrix': block(calibration.rectification),
+        'projection_matrix': block(calibration.projection),
+    }
+    lines = [f'# {line}\n' for line in comment.splitlines()]
+    return ''.join(lines) + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 
 def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
@@ -314,54 +281,6 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
     write_text(path, format_camera_info(calibration, comment))
 
 
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError('larger than 1 MiB: this is no camera_info file')
-        return path.read_text(encoding='utf-8')
-    except FileNotFoundError as error:
-        raise CalibrationError('no such file: write it with `mixtac calibrate`') from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f'cannot be read ({error}): check the path') from error
-
-
-def _block(key: str, matrix: NDArray[np.float64]) -> list[str]:
-    rows, columns = matrix.shape
-    values = ', '.join(_number(float(each)) for each in matrix.ravel())
-    return [f'{key}:', f'  rows: {rows}', f'  cols: {columns}', f'  data: [{values}]']
-
-
-def _number(value: float) -> str:
-    text = repr(value)
-    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
-
-
-class EventUndistortion:
-    """Moves events to the nearest pixel of the rectified camera.
-
-    Args:
-        calibration: The camera; its R and P define the rectified camera.
-
-    Attributes:
-        table: `int32` [height, width], rectified place of each raw pixel as row * 65536 + column,
-            -1 where it is outside the image.
-    """
-
-    def __init__(self, calibration: CameraCalibration) -> None:
-        width, height = calibration.size
-        rows, columns = np.mgrid[0:height, 0:width]
-        ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
-        near = np.floor(np.nan_to_num(ideal, nan=-1.0).clip(-1.0, 65535.0) + 0.5).astype(np.int32)
-        inside = ((near >= 0) & (near < (width, height))).all(axis=1)
-        places = near[:, 1] << 16 | near[:, 0]
-        self.table = np.where(inside, places, -1).astype(np.int32).reshape(height, width)
-        self.undistort(Events.empty())  # compile before the first events arrive
-
-    def undistort(self, events: Events) -> Events:
-        """Return the events that fall inside the rectified image, in the same order."""
-        return move_events(events, self.table, event_buffers(len(events)))
-
-
 class CalibratedCamera:
     """The calibration that a node serves; there may be none yet.
 
@@ -372,7 +291,6 @@ class CalibratedCamera:
     Attributes:
         path: File of the calibration, whether or not it exists.
         calibration: The calibration, or None.
-        undistortion: Moves events, if `undistort_events` is set; replaced as a whole.
 
     Raises:
         CalibrationError: The file is damaged or of a camera of another size, or missing although
@@ -380,10 +298,9 @@ class CalibratedCamera:
     """
 
     def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
-        self._parameters = parameters
-        self._size = size
+        self._p, self._size = parameters, size
+        self._table: NDArray[np.int32] | None = None
         self.calibration: CameraCalibration | None = None
-        self.undistortion: EventUndistortion | None = None
         self.path: Path = resolve(parameters.camerainfo_url, parameters.camera_name)
         if self.path.exists():
             self._use(read_camera_info(self.path))
@@ -399,20 +316,23 @@ class CalibratedCamera:
             return f'not calibrated: no {self.path}; write it with `mixtac calibrate`'
         return f'calibration {self.path} of {self.calibration.name}'
 
-    def camera_info_fields(self) -> dict[str, Any]:
-        """Return the fields of `sensor_msgs/CameraInfo` by name; none without calibration."""
+    def complete(self, info: Any) -> Any:  # noqa: ANN401
+        """Write the calibration, if any, into a `sensor_msgs/CameraInfo`, and return it."""
         calibration = self.calibration
-        if calibration is None:
-            return {}
-        return {
-            'width': calibration.width,
-            'height': calibration.height,
-            'distortion_model': calibration.model,
-            'd': calibration.distortion.tolist(),
-            'k': calibration.camera_matrix.ravel().tolist(),
-            'r': calibration.rectification.ravel().tolist(),
-            'p': calibration.projection.ravel().tolist(),
-        }
+        if calibration is not None:
+            info.width, info.height = calibration.size
+            info.distortion_model = calibration.model
+            info.d = calibration.distortion.tolist()
+            info.k = calibration.camera_matrix.ravel().tolist()
+            info.r = calibration.rectification.ravel().tolist()
+            info.p = calibration.projection.ravel().tolist()
+        return info
+
+    def undistort(self, events: Events) -> Events:
+        """Return the events that fall inside the rectified image, at the nearest pixel of it."""
+        if self._table is None:
+            return Events.empty()
+        return move_events(events, self._table, event_buffers(len(events)))
 
     def save(self, info: Any) -> Path:  # noqa: ANN401
         """Check a calibration, write it to its file, use it from now on, and return the file.
@@ -424,7 +344,7 @@ class CalibratedCamera:
             CalibrationError: It is implausible, of another camera, or cannot be written.
         """
         calibration = CameraCalibration(
-            name=self._parameters.camera_name,
+            name=self._p.camera_name,
             width=info.width,
             height=info.height,
             model=info.distortion_model,
@@ -440,8 +360,9 @@ class CalibratedCamera:
 
     def _use(self, calibration: CameraCalibration) -> None:
         self._check_size(calibration)
-        if self._parameters.undistort_events:
-            self.undistortion = EventUndistortion(calibration)
+        if self._p.undistort_events:
+            self._table = undistortion_table(calibration)
+            self.undistort(Events.empty())  # compile before the first events arrive
         self.calibration = calibration
 
     def _check_size(self, calibration: CameraCalibration) -> None:
@@ -451,3 +372,18 @@ class CalibratedCamera:
                 f'{self._size[0]}x{self._size[1]}',
                 remedy='calibrate this camera, or name its file in camerainfo_url',
             )
+
+
+def undistortion_table(calibration: CameraCalibration) -> NDArray[np.int32]:
+    """Return the rectified place of each raw pixel.
+
+    Returns:
+        `int32` [height, width], row * 65536 + column, -1 where the place is outside the image.
+    """
+    width, height = calibration.size
+    rows, columns = np.mgrid[0:height, 0:width]
+    ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
+    near = np.floor(np.nan_to_num(ideal, nan=-1.0).clip(-1.0, 65535.0) + 0.5).astype(np.int32)
+    inside = ((near >= 0) & (near < (width, height))).all(axis=1)
+    places = near[:, 1] << 16 | near[:, 0]
+    return np.where(inside, places, -1).astype(np.int32).reshape(height, width)

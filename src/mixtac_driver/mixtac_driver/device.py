@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import threading
 from array import array
 from importlib.metadata import entry_points
 from typing import Any
@@ -22,7 +21,7 @@ import usb.util
 from usb.core import USBError
 
 from mixtac_driver.davis346.model import camera_models, models_for
-from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, UsbError
+from mixtac_driver.errors import NoCameraError, UnknownDeviceError, UsbError
 from mixtac_driver.usb.libusb import LibusbPort
 from mixtac_driver.usb.protocol import Protocol, usb_failure
 from mixtac_events.errors import MixtacError
@@ -114,8 +113,8 @@ def find_camera(
     Args:
         backend: A pyusb backend.
         device: Device string, for messages.
-        serial: Serial number of the wanted camera; empty takes the only one there is.
-        preferred: Serial number of the one to take where `serial` is empty and there are several.
+        serial: Serial number of the wanted camera; empty for the only one.
+        preferred: Serial number to prefer where `serial` is empty and there are several cameras.
 
     Raises:
         NoCameraError: There is none, none with that number, or several and no number was given.
@@ -207,12 +206,6 @@ def _serial_of(camera: Any) -> str:  # noqa: ANN401
 DATA_ENDPOINT = 0x82
 CONFIGURATION = 1
 INTERFACE = 0
-LAST_READ_S = 0.3
-"""How long a read may take to end by itself; reads of this driver wait 0.1 s for data."""
-STUCK_READ_S = 1.0
-"""How long it may take after the port was reset."""
-_abandoned: list[Any] = []
-"""Devices with a read that never returned: closing them could crash the process."""
 
 
 class Connection:
@@ -244,19 +237,12 @@ class Connection:
     ) -> None:
         self._backend = open_backend(device) if backend is None else backend
         self._device, self.serial = find_camera(self._backend, device, serial, preferred)
-        self._reads, self._read_ended = 0, threading.Condition()
         self.protocol = Protocol(self._device)
         try:
             self._claim()
         except USBError as error:
             self.close()
-            failure = usb_failure(error, 'claiming the camera')
-            if _abandoned and isinstance(failure, InUseError):
-                failure = InUseError(
-                    'a read of the camera never returned and still holds it',
-                    remedy='restart the driver',
-                )
-            raise failure from error
+            raise usb_failure(error, 'claiming the camera') from error
 
     @property
     def bcd_device(self) -> int:
@@ -294,39 +280,12 @@ class Connection:
             usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
             ValueError: The camera has no such endpoint.
         """
-        # Counted, so that `close` closes no handle that a read uses.
-        with self._read_ended:
-            self._reads += 1
-        try:
-            return int(self._device.read(endpoint, buffer, timeout_ms))
-        finally:
-            with self._read_ended:
-                self._reads -= 1
-                self._read_ended.notify_all()
+        return int(self._device.read(endpoint, buffer, timeout_ms))
 
     def close(self) -> None:
-        """Close the camera; harmless when it is gone.
-
-        A read that does not return is ended by a reset of the port. Where not even that ends it,
-        the camera stays claimed until the process ends, because its handle is in use.
-        """
-        if not self._wait_for_reads(LAST_READ_S) and not self._end_reads():
-            _abandoned.append(self._device)
-            return
+        """Close the camera; harmless when it is gone. No read may be in progress."""
         with contextlib.suppress(USBError):
             usb.util.dispose_resources(self._device)
-
-    def _wait_for_reads(self, seconds: float) -> bool:
-        """Wait for the reads in progress; return whether all ended in time."""
-        with self._read_ended:
-            return self._read_ended.wait_for(lambda: not self._reads, seconds)
-
-    def _end_reads(self) -> bool:
-        with contextlib.suppress(USBError, NotImplementedError):
-            # Not Device.reset: it closes the handle, which the read still uses.
-            context = self._device._ctx  # noqa: SLF001
-            context.backend.reset_device(context.handle)
-        return self._wait_for_reads(STUCK_READ_S)
 
     def _claim(self) -> None:
         if self._active_configuration() != CONFIGURATION:

@@ -20,7 +20,7 @@ class AccessError(UsbError):
 
 
 class InUseError(UsbError):
-    """Another program, or a read that never returned, holds the camera."""
+    """Another program holds the camera."""
 
 
 class StallError(UsbError):
@@ -57,6 +57,10 @@ class ConfigurationError(DriverError):
 
 class StreamError(DriverError):
     """A data stream that stopped, or never confirmed its start."""
+
+
+class HungReadError(StreamError):
+    """USB reads that the kernel does not return: only the end of the process frees the camera."""
 
 
 class EndOfStream(DriverError):  # noqa: N818 - a state, not a failure

@@ -60,8 +60,8 @@ class DeviceParameters:
         recovery_give_up_after: Time without a stream after which the driver ends as with fail_stop;
             0: never
         camera_name: Name of the camera in its calibration: letters, digits and _
-        camerainfo_url: Calibration written by `mixtac calibrate`: file:///path, package://name/path
-            or a path, where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty:
+        camerainfo_url: Calibration written by `mixtac calibrate`: file:///path or a path, where
+            ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty:
             file://${ROS_HOME}/camera_info/${NAME}.yaml
         undistort_events: Also publish events at undistorted pixels; needs a calibration
     """
@@ -88,10 +88,6 @@ class DeviceParameters:
     undistort_events: bool = fixed(False)
 
 
-NO_SEEK = -1.0
-"""Value of `playback_seek` that does nothing."""
-
-
 @dataclass(frozen=True)
 class PlaybackParameters:
     """How a recording is played.
@@ -103,11 +99,7 @@ class PlaybackParameters:
             by its length and 1 ms
         playback_paused: Pause playback of a recording
         playback_start: Position in a recording at which playback starts, also when looping
-        playback_seek: Playback jumps to every new value, counted from the first event; -1: no jump.
-            Stamps never go back: after a jump to an earlier position they continue 1 ms after the
-            latest. No effect once a recording has ended
-        playback_restamp: Move recorded stamps to the time of playback (at the start, at loops and
-            jumps)
+        playback_restamp: Move recorded stamps to the time of playback (at the start and at loops)
         playback_clock: Publish the recorded camera clock on /clock, for nodes with use_sim_time;
             the driver itself stays on the host clock
         playback_events_topic: Topic or stream of events to play. Empty: the only one; none: do not
@@ -122,7 +114,6 @@ class PlaybackParameters:
     playback_loop: bool = parameter(False)
     playback_paused: bool = parameter(False)
     playback_start: float = fixed(0.0, unit='s', within=(0.0, 1e9))
-    playback_seek: float = parameter(NO_SEEK, unit='s', within=(NO_SEEK, 1e9))
     playback_restamp: bool = fixed(False)
     playback_clock: bool = fixed(False)
     playback_events_topic: str = fixed('')

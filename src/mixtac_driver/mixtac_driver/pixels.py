@@ -22,13 +22,16 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import NDArray
 
+from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
 from mixtac_events.arrays import Events
 from mixtac_node.files import replacing
 
-IN_CAMERA, ON_HOST = 255, 128
-"""Grey values in the image of a mask."""
+IN_CAMERA = 255
+"""Grey value of a pixel that the camera masks, in the image of a mask."""
+ON_HOST = 128
+"""Grey value of a pixel that the host masks."""
 Pixel = tuple[int, int]
 
 
@@ -83,54 +86,29 @@ class PixelMask:
                 remedy=f'give a mask of {size[0]} x {size[1]} pixels',
             )
 
-    def keep(self, events: Events, size: tuple[int, int]) -> Events:
+    def keep(self, events: Events) -> Events:
         """Return the events of pixels that are not masked; valid until the next call.
 
         Args:
-            events: Events with any clock.
-            size: Columns and rows of their array; a mask of another size has no effect.
+            events: Events with any clock, inside the pixel array.
         """
-        if not self.pixels or not len(events) or size != self.size:
+        if not self.pixels or not len(events):
             return events
         if not self._kept or len(self._kept[0]) < len(events):
             self._kept = event_buffers(len(events))
-        kept = move_events(events, self._places, self._kept, keep_outside=True)
+        kept = move_events(events, self._places, self._kept)
         self.dropped += len(events) - len(kept)
         return kept
 
-    def image(self) -> NDArray[np.uint8]:
-        """Return the mask as an image, `uint8` [rows, columns]: IN_CAMERA, ON_HOST, else black."""
-        image = np.where(self._places < 0, ON_HOST, 0).astype(np.uint8)
-        for column, row in self.in_camera:
-            image[row, column] = IN_CAMERA
-        return image
-
-
-def mask_of_image(image: NDArray[Any]) -> PixelMask:
-    """Return the mask in an image: all pixels that are not black, the brightest first.
-
-    Args:
-        image: `uint8` [rows, columns].
-
-    Raises:
-        ConfigurationError: It is not a grey image of 8 bits.
-    """
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise ConfigurationError(
-            f'pixel mask of shape {image.shape}, {image.dtype}',
-            remedy='give a grey image with 8 bits in the size of the camera',
-        )
-    rows, columns = np.nonzero(image)
-    order = np.argsort(-image[rows, columns].astype(int), kind='stable')
-    pairs = zip(columns[order].tolist(), rows[order].tolist(), strict=True)
-    return PixelMask(pairs, (image.shape[1], image.shape[0]))
-
 
 def load_mask(path: str) -> PixelMask:
-    """Return the mask in a PNG file; an empty path is an empty mask.
+    """Return the mask in a PNG file: all pixels that are not black, the brightest first.
+
+    Args:
+        path: The file; an empty path is an empty mask.
 
     Raises:
-        ConfigurationError: The file cannot be read or is not such an image.
+        ConfigurationError: The file cannot be read or is not a grey image of 8 bits.
     """
     if not path:
         return PixelMask()
@@ -139,12 +117,12 @@ def load_mask(path: str) -> PixelMask:
 
     # Opening a pipe would wait.
     image: Any = cv2.imread(path, cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
-    if image is None:
+    if image is None or image.ndim != 2 or image.dtype != np.uint8:
         raise ConfigurationError(
             f'pixel mask {path!r} cannot be read',
-            remedy='give a grey PNG image in the size of the camera',
+            remedy='give a grey PNG image with 8 bits in the size of the camera',
         )
-    return mask_of_image(image)
+    return PixelMask(_brightest_first(image, image > 0), (image.shape[1], image.shape[0]))
 
 
 def check_path(path: str) -> None:
@@ -176,7 +154,10 @@ def save_mask(mask: PixelMask, path: str) -> None:
     check_path(path)
     import cv2
 
-    _, octets = cv2.imencode('.png', mask.image())
+    image = np.zeros(mask.size[::-1], np.uint8)
+    for index, (column, row) in enumerate(mask.pixels):
+        image[row, column] = IN_CAMERA if index < PIXEL_FILTERS else ON_HOST
+    _, octets = cv2.imencode('.png', image)
     with replacing(Path(path)) as scratch:
         scratch.write_bytes(octets.tobytes())
 
@@ -185,7 +166,7 @@ def warm_up() -> None:
     """Compile, or load compiled code, before data arrive."""
     one = np.zeros(1, np.uint16)
     events = Events(np.zeros(1, np.int64), one, one, np.zeros(1, np.bool_))
-    PixelMask([(0, 0)], (1, 1)).keep(events, (1, 1))
+    PixelMask([(0, 0)], (1, 1)).keep(events)
 
 
 def event_buffers(n: int) -> tuple[NDArray[Any], ...]:
@@ -194,36 +175,29 @@ def event_buffers(n: int) -> tuple[NDArray[Any], ...]:
 
 
 def move_events(
-    events: Events,
-    places: NDArray[np.int32],
-    buffers: tuple[NDArray[Any], ...],
-    *,
-    keep_outside: bool = False,
+    events: Events, places: NDArray[np.int32], buffers: tuple[NDArray[Any], ...]
 ) -> Events:
     """Return events at other pixels, in the same order.
 
     Args:
-        events: Events with any clock.
+        events: Events with any clock; those outside the table are dropped.
         places: [rows, columns], new place of each pixel as row * 65536 + column; -1 drops it.
         buffers: `event_buffers` for at least as many events; the result is a view of them.
-        keep_outside: Whether events outside the table stay where they are, or are dropped.
     """
-    given = (events.t, events.x, events.y, events.polarity)
-    n = _move(places, keep_outside, given, buffers)
+    n = _move(places, (events.t, events.x, events.y, events.polarity), buffers)
     return Events(*(each[:n] for each in buffers))
 
 
 @njit(cache=True, nogil=True)
-def _move(places: Any, keep_outside: bool, given: Any, buffers: Any) -> int:  # noqa: ANN401
+def _move(places: Any, given: Any, buffers: Any) -> int:  # noqa: ANN401
     t, x, y, polarity = given
     new_t, new_x, new_y, new_polarity = buffers
     rows, columns = places.shape
     n = 0
     for i in range(len(t)):
+        place = int64(-1)
         if y[i] < rows and x[i] < columns:
             place = int64(places[y[i], x[i]])
-        else:
-            place = int64(y[i]) << 16 | int64(x[i]) if keep_outside else int64(-1)
         # Written always and counted only if kept: no branch that noise could mispredict.
         new_t[n] = t[i]
         new_x[n] = place & 0xFFFF
@@ -233,9 +207,17 @@ def _move(places: Any, keep_outside: bool, given: Any, buffers: Any) -> int:  # 
     return n
 
 
+def _brightest_first(values: NDArray[Any], chosen: NDArray[np.bool_]) -> list[Pixel]:
+    rows, columns = np.nonzero(chosen)
+    order = np.argsort(-values[rows, columns].astype(np.int64), kind='stable')
+    return list(zip(columns[order].tolist(), rows[order].tolist(), strict=True))
+
+
 AROUND = np.ones((5, 5), np.bool_)
 AROUND[2, 2] = False
+"""Neighbours of a pixel: the 24 around it."""
 RANK = -4
+"""The fourth noisiest of the neighbours is what a pixel is compared with."""
 FEWEST_EVENTS = 10
 """Fewer than this may be chance where most pixels have none."""
 SIGMAS = 5.0
@@ -260,13 +242,9 @@ class PixelCounter:
         self._duration_us = duration_us
         self._end_us: int | None = None
 
-    def add(self, events: Events, time_us: int) -> None:
-        """Count events.
-
-        Args:
-            events: Events; their times are not used.
-            time_us: Time that the stream has reached [us, epoch-based camera clock].
-        """
+    def add(self, batch: CameraBatch) -> None:
+        """Count the events of a batch."""
+        events, time_us = batch.decoded.events, batch.time_us
         if self.done.is_set():
             return
         if self._end_us is None:
@@ -299,6 +277,4 @@ def hot_pixels(
     around = rank_filter(counts.astype(np.float64), RANK, footprint=AROUND, mode='mirror')
     limit = np.maximum(factor * around, around + SIGMAS * np.sqrt(around))
     fewest = max(minimum_rate_hz * duration_s, FEWEST_EVENTS)
-    rows, columns = np.nonzero((counts > limit) & (counts >= fewest))
-    order = np.argsort(-counts[rows, columns], kind='stable')
-    return list(zip(columns[order].tolist(), rows[order].tolist(), strict=True))
+    return _brightest_first(counts, (counts > limit) & (counts >= fewest))

@@ -114,7 +114,7 @@ def make_source(
     """
     if source_kind(parameters.device) is SourceKind.RECORDED:
         # A camera's driver starts without the readers of recordings.
-        from mixtac_driver.playback.source import RecordedSource
+        from mixtac_driver.playback import RecordedSource
 
         return RecordedSource(parameters)
     return Davis346(parameters, pixel_filter=pixel_filter)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from mixtac_driver.camera import CameraBatch
-from mixtac_driver.errors import DriverError, EndOfStream
+from mixtac_driver.errors import DriverError, EndOfStream, HungReadError
 from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
 from mixtac_driver.source import Source
 from mixtac_events.errors import MixtacError
@@ -193,7 +193,7 @@ class Supervisor:
                 self._report_due_s = time.monotonic() + delay_s
             self._to_report.append(self.error)
         fail_stop = self._p.recovery_policy == RecoveryPolicy.FAIL_STOP.value and self._was_open
-        if fail_stop or isinstance(error, RecordingError):
+        if fail_stop or isinstance(error, (RecordingError, HungReadError)):
             self._report()
             raise error
 

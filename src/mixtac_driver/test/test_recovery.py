@@ -6,9 +6,6 @@ from __future__ import annotations
 
 import errno
 import random
-import threading
-import time
-from array import array
 
 import pytest
 import usb.util
@@ -17,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usb.core import USBError, USBTimeoutError
 
-from mixtac_driver import device as connection_module
 from mixtac_driver.camera import Davis346
 from mixtac_driver.clock import JUMP_US, JumpGuard
-from mixtac_driver.device import Connection, attached_cameras, find_camera
+from mixtac_driver.device import attached_cameras, find_camera
 from mixtac_driver.errors import (
     AccessError,
     BusError,
@@ -148,67 +144,6 @@ def test_attached_cameras_are_seen_without_opening_any():
     assert attached_cameras('davis346', FakeBackend(camera)) == {(1, 1)}
     assert attached_cameras('davis346', FakeBackend()) == frozenset()
     assert attached_cameras('nonsense') == frozenset()
-
-
-class HungBackend(FakeBackend):
-    """A camera whose reads return only after the port was reset, or not even then."""
-
-    def __init__(self, camera, *, resets_work):
-        super().__init__(camera)
-        self.released = threading.Event()
-        self.resets_work = resets_work
-        self.resets = 0
-
-    def bulk_read(self, handle, ep, intf, buff, timeout):
-        self.released.wait(20)
-        raise USBError('reset', -1, errno.EIO)
-
-    def reset_device(self, handle):
-        self.resets += 1
-        if self.resets_work:
-            self.released.set()
-
-
-def read_in_thread(connection):
-    def read():
-        with pytest.raises(USBError):
-            connection.read(0x82, array('B', bytes(64)), 100)
-
-    thread = threading.Thread(target=read, daemon=True)
-    thread.start()
-    time.sleep(0.02)
-    return thread
-
-
-@pytest.fixture
-def impatient(monkeypatch):
-    monkeypatch.setattr(connection_module, 'LAST_READ_S', 0.02)
-    monkeypatch.setattr(connection_module, 'STUCK_READ_S', 0.1)
-    monkeypatch.setattr(connection_module, '_abandoned', [])
-
-
-def test_read_that_never_returns_is_ended_by_a_reset_of_the_port(impatient):
-    camera = FakeCamera()
-    backend = HungBackend(camera, resets_work=True)
-    connection = Connection('davis346', backend=backend)
-    thread = read_in_thread(connection)
-    connection.close()
-    thread.join(5.0)
-    assert not thread.is_alive()
-    assert (backend.resets, camera.handles, camera.claimed) == (1, 0, False)
-
-
-def test_handle_below_a_read_that_not_even_a_reset_ends_is_left_alone(impatient):
-    camera = FakeCamera()
-    backend = HungBackend(camera, resets_work=False)
-    connection = Connection('davis346', backend=backend)
-    thread = read_in_thread(connection)
-    connection.close()
-    assert (camera.handles, camera.claimed) == (1, True)
-    with pytest.raises(InUseError):
-        Connection('davis346', backend=backend)
-    backend.released.set()
-    thread.join(5.0)
 
 
 @pytest.mark.parametrize('seed', range(30))

@@ -9,7 +9,7 @@ import pytest
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.playback.source import RecordedSource
+from mixtac_driver.playback import RecordedSource
 from mixtac_driver.source import SourceKind, make_source, source_kind
 
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mixtac_driver.errors import EndOfStream, NoCameraError, StreamError
+from mixtac_driver.errors import EndOfStream, HungReadError, NoCameraError, StreamError
 from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_recordings.recording import RecordingError
@@ -180,8 +180,9 @@ def test_end_of_a_recording_is_no_failure(policy):
     assert not script.is_open
 
 
-def test_recording_that_cannot_be_played_is_not_tried_again():
-    script = Script(('open', RecordingError('damaged')))
+@pytest.mark.parametrize('kind', [RecordingError, HungReadError])
+def test_what_a_second_attempt_cannot_mend_is_not_tried_again(kind):
+    script = Script(('open', kind('damaged')))
     supervisor = Watch(script).wait_for_end()
     assert (supervisor.state, str(supervisor.failure)) == (State.FAILED, 'damaged')
     assert script.openings == 1

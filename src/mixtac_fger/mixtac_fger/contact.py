@@ -67,6 +67,9 @@ ITERATIONS: Final = 25
 DONE_MM: Final = 2e-3
 """Change of the place at which a fit ends [mm]."""
 MOST_DAMPING: Final = 1e6
+"""Damping at which a fit ends."""
+LEAST_DIAGONAL: Final = 1e-12
+"""Added to the diagonal of the normal matrix."""
 
 
 @njit(cache=True, nogil=True)
@@ -138,37 +141,9 @@ def _normal(places: F32, moved: F32, tensor: F32, p: F64, normal: F64, right: F6
 
 
 @njit(cache=True, nogil=True)
-def _factored(matrix: F64, damping: float, lower: F64) -> bool:
-    """Write the Cholesky factor of a matrix with a damped diagonal; False if there is none."""
-    count = matrix.shape[0]
-    for i in range(count):
-        for j in range(i + 1):
-            total = matrix[i, j] * (1.0 + damping if i == j else 1.0)
-            for k in range(j):
-                total -= lower[i, k] * lower[j, k]
-            if i == j:
-                if total <= 1e-12:
-                    return False
-                lower[i, i] = np.sqrt(total)
-            else:
-                lower[i, j] = total / lower[j, j]
-    return True
-
-
-@njit(cache=True, nogil=True)
-def _solved(lower: F64, right: F64, out: F64) -> None:
-    """Write the solution of equations with a Cholesky factor."""
-    count = right.shape[0]
-    for i in range(count):
-        total = right[i]
-        for k in range(i):
-            total -= lower[i, k] * out[k]
-        out[i] = total / lower[i, i]
-    for i in range(count - 1, -1, -1):
-        total = out[i]
-        for k in range(i + 1, count):
-            total -= lower[k, i] * out[k]
-        out[i] = total / lower[i, i]
+def _damped(matrix: F64, damping: float) -> F64:
+    """Return a normal matrix with a larger diagonal, which is positive even without texture."""
+    return matrix + np.diag(damping * np.diag(matrix) + LEAST_DIAGONAL)
 
 
 @njit(cache=True, nogil=True)
@@ -208,22 +183,6 @@ def _search(places: F32, moved: F32, tensor: F32, p: F64) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _step(p: F64, step: F64, tried: F64) -> None:
-    """Write parameters after a step."""
-    for i in range(PARAMETERS):
-        tried[i] = p[i] + step[i]
-
-
-@njit(cache=True, nogil=True)
-def _keep(tried: F64, normal: F64, right: F64, p: F64, at: F64, push: F64) -> None:
-    """Write parameters that were tried, and their normal equations, as those to go on from."""
-    for i in range(PARAMETERS):
-        p[i], push[i] = tried[i], right[i]
-        for j in range(PARAMETERS):
-            at[i, j] = normal[i, j]
-
-
-@njit(cache=True, nogil=True)
 def _fit(
     places: F32, moved: F32, tensor: F32, anew: bool, p: F64, covariance: F64
 ) -> tuple[float, float]:
@@ -232,24 +191,22 @@ def _fit(
     Returns:
         Weighted square of the field, and what the fit leaves of it.
     """
-    squares, rows = np.zeros((3, PARAMETERS, PARAMETERS)), np.zeros((4, PARAMETERS))
-    normal, at, lower = squares[0], squares[1], squares[2]
-    right, push, step, tried = rows[0], rows[1], rows[2], rows[3]
-    whole = _normal(places, moved, tensor, step, normal, right)
+    shape = PARAMETERS, PARAMETERS
+    normal, right = np.empty(shape), np.empty(PARAMETERS)
+    at, push = np.empty(shape), np.empty(PARAMETERS)
+    whole = _normal(places, moved, tensor, np.zeros(PARAMETERS), normal, right)
     if anew:
         _search(places, moved, tensor, p)
     left = _normal(places, moved, tensor, p, at, push)
     damping = 1e-3
     for _ in range(ITERATIONS):
-        now = np.inf
-        if _factored(at, damping, lower):
-            _solved(lower, push, step)
-            _step(p, step, tried)
-            if is_sensible(tried):
-                now = _normal(places, moved, tensor, tried, normal, right)
+        step = np.linalg.solve(_damped(at, damping), push)
+        tried, now = p + step, np.inf
+        if is_sensible(tried):
+            now = _normal(places, moved, tensor, tried, normal, right)
         if now < left:
             done = abs(step[3]) + abs(step[4]) < DONE_MM and left - now < 1e-3 * left
-            _keep(tried, normal, right, p, at, push)
+            p[:], at[:], push[:] = tried, normal, right
             left, damping = now, max(0.2 * damping, 1e-7)
             if done:
                 break
@@ -257,16 +214,11 @@ def _fit(
             damping = 10.0 * damping
             if damping > MOST_DAMPING:
                 break
-    covariance[:] = 0.0
-    if _factored(at, 1e-9, lower):
-        for i in range(PARAMETERS):
-            push[:] = 0.0
-            push[i] = 1.0
-            _solved(lower, push, covariance[i])
+    covariance[:] = np.linalg.inv(_damped(at, 1e-9))
     return whole, left
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True)
 def _cell_slopes(
     places: F32,
     tensor: F32,
@@ -276,26 +228,17 @@ def _cell_slopes(
     slopes: F64,
     tensors: F64,
 ) -> None:
-    """Write the mean derivatives [rows, columns, 2, 8] and tensors [.., 3] of cells."""
-    slopes[:] = 0.0
-    tensors[:] = 0.0
+    """Add the derivatives [rows, columns, 2, 8] and tensors [.., 3] of the points of cells."""
     model, here = np.empty(2), np.empty((2, PARAMETERS))
-    count = np.zeros((slopes.shape[0], slopes.shape[1]))
     for row in range(places.shape[1]):
         for column in range(places.shape[2]):
             _slopes(places[0, row, column] - p[3], places[1, row, column] - p[4], p, model, here)
             i, j = row_cell[row], column_cell[column]
-            count[i, j] += 1.0
             for axis in range(2):
                 for k in range(PARAMETERS):
                     slopes[i, j, axis, k] += here[axis, k]
             for k in range(3):
                 tensors[i, j, k] += tensor[k, row, column]
-    for i in range(count.shape[0]):
-        for j in range(count.shape[1]):
-            for axis in range(2):
-                for k in range(PARAMETERS):
-                    slopes[i, j, axis, k] /= count[i, j]
 
 
 def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
@@ -309,8 +252,10 @@ def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
         p: Parameters.
         grid: Rows and columns of cells.
     """
-    slopes, tensors = np.empty((*grid, 2, PARAMETERS)), np.empty((*grid, 3))
-    _cell_slopes(places, tensor, p, *bin_cells(places.shape[1:], grid), slopes, tensors)
+    slopes, tensors = np.zeros((*grid, 2, PARAMETERS)), np.zeros((*grid, 3))
+    rows, columns = bin_cells(places.shape[1:], grid)
+    _cell_slopes(places, tensor, p, rows, columns, slopes, tensors)
+    slopes /= np.outer(np.bincount(rows), np.bincount(columns))[..., None, None]
     weights = tensors[..., [[0, 1], [1, 2]]]
     weighted = np.einsum('rcai,rcab->ircb', slopes, weights)
     normal = np.einsum('ircb,rcbj->ij', weighted, slopes)

@@ -92,7 +92,7 @@ class ContactOutputs:
         frame_id, size = settings.frame_id, estimator.size
         if any(contact):
             for estimate in estimates:
-                self._publish_contact(estimate, tracker.scale, size, frame_id, contact)
+                self._publish_contact(estimate, tracker.settings.scale, size, frame_id, contact)
         if any(field):
             carried = settings.displacement == 'windows'
             end_us = estimates[-1].end_us if carried else tracker.frame_us
@@ -131,18 +131,18 @@ class ContactOutputs:
         carried: bool,
     ) -> None:
         """Publish the displacement of a new frame, or carried on to the latest window."""
-        touch = tracker.touch
+        touch, scale = tracker.touch, tracker.settings.scale
         if touch is None or stamp_us == self._field_us:
             return
         self._field_us = stamp_us
-        moved = metric(tracker.moved() if carried else touch.field.moved, touch.scale)
+        moved = metric(tracker.moved() if carried else touch.field.moved, scale)
         if wanted[0]:
             image = stamp(Image(), stamp_us, frame_id)
             fill_field(image, moved)
             self._field[0].publish(image)
         if wanted[1]:
             cloud = stamp(PointCloud2(), stamp_us, frame_id)
-            fill_cloud(cloud, moved, touch.field, touch.scale, size)
+            fill_cloud(cloud, moved, touch.field, scale, size)
             self._field[1].publish(cloud)
 
 

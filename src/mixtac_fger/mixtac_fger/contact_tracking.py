@@ -31,7 +31,6 @@ from mixtac_fger.contact import (
 )
 from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
 from mixtac_fger.features import bin_cells
-from mixtac_fger.mesh_scale import by_mesh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -108,12 +107,10 @@ class Touch(NamedTuple):
     Attributes:
         field: Displacement of the beads.
         fit: The contact that explains it best.
-        scale: Scale of the skin in the picture.
     """
 
     field: DisplacementField
     fit: ContactFit
-    scale: SkinScale
 
 
 class TouchMeter:
@@ -125,23 +122,18 @@ class TouchMeter:
     """
 
     def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
-        self._meter, self._bin, self._given = FieldMeter(config), config.frame_bin, scale
-        self._size = config.width, config.height
-        self._fitter = ContactFitter(self._size, scale, config.grid_shape)
-        self._reference: F32 | None = None
+        self._meter = FieldMeter(config)
+        self._fitter = ContactFitter((config.width, config.height), scale, config.grid_shape)
 
     def measure(self, reference: F32, image: F32) -> Touch:
-        """Return what a picture tells.
+        """Return the displacement of a picture and the contact in it.
 
         Args:
             reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
             image: Coarse log contrast now, same shape.
         """
-        if reference is not self._reference:
-            self._fitter.scale = by_mesh(self._given, reference, self._bin, self._size)
-            self._reference = reference
         found = self._meter.measure(reference, image)
-        return Touch(found, self._fitter.fit(found), self._fitter.scale)
+        return Touch(found, self._fitter.fit(found))
 
 
 class Contact(NamedTuple):
@@ -274,11 +266,6 @@ class ContactTracker:
             return Contact(end_us, self._touching, None)
         return Contact(end_us, True, self._shape(touch))
 
-    @property
-    def scale(self) -> SkinScale:
-        """Scale of the skin in the picture, by the best that is known so far."""
-        return self.settings.scale if self.touch is None else self.touch.scale
-
     def moved(self) -> F32:
         """Return the displacement now, by the latest frame and events, as its field has it [px]."""
         assert self.touch is not None  # noqa: S101  (the caller waits for a frame)
@@ -355,7 +342,7 @@ class ContactTracker:
             carried = p + change
             if carried[0] > 0.0 and is_sensible(carried):
                 p = carried
-        return contact_shape(p, fit.covariance, touch.scale, self.settings.object_radius)
+        return contact_shape(p, fit.covariance, self.settings.scale, self.settings.object_radius)
 
 
 def contact_tracker(settings: ContactSettings | None, estimator: object) -> ContactTracker | None:

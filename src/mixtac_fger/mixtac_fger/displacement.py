@@ -53,47 +53,31 @@ class SkinScale:
         px_per_mm: Scale at the skin on the optical axis [px/mm].
         deviation: Its relative standard deviation.
         axis_px: Column and row of the optical axis; None is the middle of the image.
-        mesh_mm: Pitch of the mesh in view, by which `mixtac_fger.mesh_scale` finds a scale as soon
-            as there is a picture without contact [mm]; 0 for none.
-        gel_mm: Thickness of the gel [mm]; 0 if it is not known.
-        focal_px: Focal length of the calibrated camera [px]; 0 without a calibration.
     """
 
     px_per_mm: float = NOMINAL_PX_PER_MM
     deviation: float = NOMINAL_DEVIATION
     axis_px: tuple[float, float] | None = None
-    mesh_mm: float = 0.0
-    gel_mm: float = 0.0
-    focal_px: float = 0.0
 
     def axis(self, width: int, height: int) -> tuple[float, float]:
         """Return column and row of the optical axis in an image of a size [px]."""
         return self.axis_px or (0.5 * (width - 1), 0.5 * (height - 1))
 
 
-def skin_scale(
-    px_per_mm: float,
-    focal_px: float,
-    axis_px: tuple[float, float],
-    mesh_mm: float = 0.0,
-    gel_mm: float = 0.0,
-) -> SkinScale:
+def skin_scale(px_per_mm: float, focal_px: float, axis_px: tuple[float, float]) -> SkinScale:
     """Return the scale by the best that is known.
 
     Args:
         px_per_mm: Measured at the skin [px/mm]; 0 if it was not.
         focal_px: Focal length of the calibrated camera [px]; 0 without a calibration.
         axis_px: Its principal point, column and row.
-        mesh_mm: Pitch of the mesh in view [mm]; 0 for none.
-        gel_mm: Thickness of the gel [mm]; 0 if it is not known.
     """
     axis = axis_px if focal_px > 0.0 else None
     if px_per_mm > 0.0:
         return SkinScale(px_per_mm, MEASURED_DEVIATION, axis)
     if focal_px > 0.0:
-        px = focal_px / DISTANCE_MM
-        return SkinScale(px, DISTANCE_DEVIATION, axis, mesh_mm, gel_mm, focal_px)
-    return SkinScale(mesh_mm=mesh_mm, gel_mm=gel_mm)
+        return SkinScale(focal_px / DISTANCE_MM, DISTANCE_DEVIATION, axis)
+    return SkinScale()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

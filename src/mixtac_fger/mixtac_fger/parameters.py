@@ -51,12 +51,7 @@ class FgerParameters:
         object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
             of the contact is more accurate; 0 if it is not.
         px_per_mm: Scale of the picture at the skin on the optical axis, where it was measured. 0 is
-            by the mesh in the picture, or else that of the camera's calibration (6 %), or the usual
-            one (8 %).
-        mesh_pitch: Pitch of the steel mesh between camera and gel, whose image gives the scale; 0
-            where there is none.
-        gel_thickness: Thickness of the gel, for that scale. Where it is known, the scale is right
-            to 1 %, else to 4 %; 0 if it is not.
+            the scale of the camera's calibration (6 %), or the usual one (8 %).
         displacement: Publish the displacement of the beads since the reference: `frames` at the
             rate of the frames, `windows` also at 500 Hz, carried by events.
         tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
@@ -90,8 +85,6 @@ class FgerParameters:
     contact_off: float = parameter(0.02, unit='N', within=(0.0, 10.0))
     object_radius: float = parameter(0.0, unit='mm', within=(0.0, 1000.0))
     px_per_mm: float = parameter(0.0, unit='px/mm', within=(0.0, 1000.0))
-    mesh_pitch: float = parameter(1.08, unit='mm', within=(0.0, 10.0))
-    gel_thickness: float = parameter(0.0, unit='mm', within=(0.0, 50.0))
     displacement: str = parameter('off', choices=DISPLACEMENT)
     tare_on_release: bool = parameter(False)
     invalid_force: str = parameter('withhold', choices=POLICIES)
@@ -114,8 +107,7 @@ class FgerParameters:
 
     def contact_settings(self, focal_px: float, axis_px: tuple[float, float]) -> ContactSettings:
         """Return how contacts are found by a camera; see `mixtac_fger.displacement.skin_scale`."""
-        mesh = self.mesh_pitch, self.gel_thickness
-        scale = skin_scale(self.px_per_mm, focal_px, axis_px, *mesh)
+        scale = skin_scale(self.px_per_mm, focal_px, axis_px)
         return ContactSettings(self.contact_on, self.contact_off, self.object_radius, scale)
 
     def estimator_options(self) -> dict[str, Any]:

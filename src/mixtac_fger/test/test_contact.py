@@ -128,7 +128,7 @@ class Finder:
 
 def touch_at(x, y):
     field = pressed((x, y))
-    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field), SCALE)
+    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field))
 
 
 def cell_flow(before, after, threshold):
@@ -200,7 +200,7 @@ def test_a_light_force_has_to_last():
 def test_a_light_force_has_to_show_in_the_picture():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
-    tracker.frame(1000, Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free), SCALE))
+    tracker.frame(1000, Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free)))
     # Noise moved the estimate: what frames show stays as it was.
     assert not any(touching(tracker, [0.0] + [0.06] * 40, 2000))
     tracker.frame(84_000, touch_at(0.0, 0.0))
@@ -254,7 +254,7 @@ def test_an_estimate_that_comes_back_from_below_zero_is_no_new_contact():
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
-    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free), SCALE)
+    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
     assert tracker.window(2000, 0.2).touching
     # Exposed too early to tell.
     tracker.frame(3000, unseen)

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from mixtac_cli.calibrate_force.live import LiveProcedure
+from mixtac_cli.calibrate_force.session import LiveProcedure
 from mixtac_cli.demo.evaluation import WINDOW_NS
 from mixtac_cli.demo.live_table import PERIOD_S, LiveTable
 from mixtac_cli.demo.report import BAG, PRESET, Run, evaluate, print_summary
@@ -188,10 +188,10 @@ def _record(
 def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
     """Calibrate as `mixtac calibrate-force` does; return the gain, 1 if that is refused."""
     console.print('calibrating by known loads, as mixtac calibrate-force does')
-    procedure = LiveProcedure(console, DEFAULT_NAMESPACE, 'virtual', yes=True)
+    procedure = LiveProcedure(console, processes, monitor, virtual=True)
     loads = [load_of(grams, 0.0) for grams in LOADS_G]
     try:
-        session = procedure.lead(processes, monitor, loads, known=True)
+        session = procedure.lead(loads)
         calibration = fit_gain(session.loads, session.plateaus)
     except ForceCalibrationError as error:
         # As on a host that is too busy; what follows is worth showing all the same.

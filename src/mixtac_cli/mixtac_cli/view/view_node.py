@@ -8,22 +8,17 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
 from mixtac_cli.parameters import ViewParameters
-from mixtac_cli.view.drawing import Drawing, Received, palette
-from mixtac_cli.view.server import ViewError, ViewerServer, require_rerun
+from mixtac_cli.view.drawing import Drawing, Received
+from mixtac_cli.view.page import Page, ViewError, ViewerServer, require_rerun
 from mixtac_events.codec import warm_up
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.files import writable
-
-if TYPE_CHECKING:
-    from mixtac_cli.view.drawing import Curve
-    from mixtac_cli.view.page import Page
 
 
 class ViewNode(BaseNode, Node):  # type: ignore[misc]
@@ -62,8 +57,6 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
 
     def _open_page(self) -> Page:
         require_rerun()
-        from mixtac_cli.view.page import Page
-
         p = self._settings
         if p.save:
             path = Path(p.save)
@@ -72,27 +65,25 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             writable(path)
             path.parent.mkdir(parents=True, exist_ok=True)
             self.get_logger().info(f'writing {path}')
-            return Page(p.history, palette(), path=path)
+            return Page(p.history, path=path)
         self._server = ViewerServer(p.port, p.data_port, p.memory)
         self.get_logger().info(f'live view: {self._server.page_url}')
-        return Page(p.history, palette(), url=self._server.data_url)
+        return Page(p.history, url=self._server.data_url)
 
     def _subscribe(self) -> None:
         received = self._received
-        self.subscribe_topic(topics.EVENTS, lambda m: received.packets.add(m, m.seq))
-        self.subscribe_topic(topics.IMAGE_RAW, received.on_frame)
-        self.subscribe_topic(topics.CONTACT, received.on_contact)
-        self.subscribe_topic(topics.DISPLACEMENT, received.on_field)
-        self.subscribe_topic(topics.FORCE, partial(self._plot, received.force))
-        reference = self._settings.reference_topic
-        plot_reference = partial(self._plot, received.reference)
-        self.subscribe_topic(topics.REFERENCE_WRENCH, plot_reference, name=reference)
-        self.subscribe_topic(topics.SLIP, lambda m: received.on_slip(m, time.time_ns()))
-        self.subscribe_topic(topics.DIAGNOSTICS, received.on_diagnostics)
 
-    @staticmethod
-    def _plot(curve: Curve, message: topics.ForceMessage) -> None:
-        curve.add(time.time_ns(), topics.normal_force(message))
+        def force(name: str, message: topics.ForceMessage) -> None:
+            received.on_force(name, time.time_ns(), topics.normal_force(message))
+
+        self.subscribe_topic(topics.EVENTS, lambda m: received.on_packet(m, m.seq))
+        self.subscribe_topic(topics.IMAGE_RAW, received.on_frame)
+        self.subscribe_topic(topics.CONTACT, partial(setattr, received, 'contact'))
+        self.subscribe_topic(topics.SLIP, partial(setattr, received, 'slip'))
+        self.subscribe_topic(topics.DIAGNOSTICS, received.on_diagnostics)
+        self.subscribe_topic(topics.FORCE, partial(force, 'force'))
+        name = self._settings.reference_topic
+        self.subscribe_topic(topics.REFERENCE_WRENCH, partial(force, 'reference'), name=name)
 
     def _draw(self) -> None:
         period = 1.0 / self._settings.rate
@@ -107,13 +98,11 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             due = max(due + period, time.monotonic() + 0.2 * period)
 
     def _status(self) -> Status:
-        received = self._received
-        bad = self._drawing.undecodable
+        received, bad = self._received, self._drawing.undecodable
         values: dict[str, object] = {
-            'packets not drawn': received.packets.skipped,
-            'packets lost': received.packets.counter.lost,
+            'packets not drawn': received.skipped,
+            'packets lost': received.counter.lost,
             'undecodable': bad,
-            'samples dropped': received.force.dropped + received.reference.dropped,
             'page': self._server.page_url if self._server else self._settings.save,
         }
         return Status(WARN if bad else OK, f'{bad} undecodable' if bad else 'showing', values)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.model import Features, Identity
-from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux
+from mixtac_driver.davis346.registers import BLOCKS, Aps, Dvs, Module, Mux
 from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
     APS_REGION,
@@ -389,6 +389,20 @@ class CameraControl:
             if self._writer is None:
                 return None
             return read_statistics(self._writer.protocol, self._writer.identity.features)
+
+    def registers(self) -> dict[str, int]:
+        """Return the value of every register that the driver knows, by `module:parameter`.
+
+        Raises:
+            UsbError: A request failed.
+            DriverError: The camera is closed.
+        """
+        with self._lock:
+            writer = self._attached()
+            addresses = [*map(_address, register_writes(self.parameters, writer.identity))]
+            addresses += [(module, number) for module, kind in BLOCKS.items() for number in kind]
+            read = writer.protocol.read
+            return {f'{int(m)}:{int(p)}': read(m, p) for m, p in sorted(set(addresses))}
 
     def _reset_clock(self) -> Origin:
         with self._lock:

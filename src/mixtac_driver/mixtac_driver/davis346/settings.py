@@ -135,21 +135,6 @@ class SensorParameters:
         generator_inject_on_falling: Report falling edges of the pulse generator
         usb_early_packet_delay: Longest time that the camera holds back data before it sends a USB
             packet
-        chip_digital_mux_0: Signal on the digital test pin 0
-        chip_digital_mux_1: Signal on the digital test pin 1
-        chip_digital_mux_2: Signal on the digital test pin 2
-        chip_digital_mux_3: Signal on the digital test pin 3
-        chip_analog_mux_0: Signal on the analogue test pin 0
-        chip_analog_mux_1: Signal on the analogue test pin 1
-        chip_analog_mux_2: Signal on the analogue test pin 2
-        chip_bias_mux_0: Bias on the bias test pin
-        chip_reset_calibration_neuron: Hold the calibration neuron in reset
-        chip_type_n_calibration_neuron: Calibration neuron: measure N-type biases
-        chip_reset_test_pixel: Hold the test pixel in reset
-        chip_aer_na_row: Select the other arbitration of the event rows (nArow)
-        chip_use_a_out: Read frames through the analogue output pad instead of the on-chip ADC
-        chip_select_gray_counter: Use the Gray-code counter of the on-chip ADC
-        chip_test_adc: Let the on-chip ADC measure AdcTestVoltage
     """
 
     dvs_enabled: bool = parameter(True)
@@ -208,23 +193,6 @@ class SensorParameters:
     generator_inject_on_falling: bool = parameter(False)
 
     usb_early_packet_delay: int = parameter(200, unit='us', within=(125, 15_875))
-
-    # Meant for measurements of the chip itself; named as the registers (`registers.Chip`).
-    chip_digital_mux_0: int = parameter(0, within=(0, 15))
-    chip_digital_mux_1: int = parameter(0, within=(0, 15))
-    chip_digital_mux_2: int = parameter(0, within=(0, 15))
-    chip_digital_mux_3: int = parameter(0, within=(0, 15))
-    chip_analog_mux_0: int = parameter(0, within=(0, 15))
-    chip_analog_mux_1: int = parameter(0, within=(0, 15))
-    chip_analog_mux_2: int = parameter(0, within=(0, 15))
-    chip_bias_mux_0: int = parameter(0, within=(0, 15))
-    chip_reset_calibration_neuron: bool = parameter(True)
-    chip_type_n_calibration_neuron: bool = parameter(False)
-    chip_reset_test_pixel: bool = parameter(True)
-    chip_aer_na_row: bool = parameter(False)
-    chip_use_a_out: bool = parameter(False)
-    chip_select_gray_counter: bool = parameter(True)
-    chip_test_adc: bool = parameter(False)
 
 
 @dataclass(frozen=True)

@@ -74,10 +74,7 @@ def register_writes(
         Write(Module.CHIP, address, wanted.get(name, default).encode())
         for name, (address, default) in model.biases.items()
     ]
-    writes += [
-        Write(Module.CHIP, register, int(getattr(p, f'chip_{register.name.lower()}', default)))
-        for register, default in model.chip_registers.items()
-    ]
+    writes += [Write(Module.CHIP, register, n) for register, n in model.chip_registers.items()]
     writes += [
         Write(Module.MUX, Mux.DROP_EXTERNAL_INPUT_ON_STALL, 1),
         Write(Module.MUX, Mux.DROP_DVS_ON_STALL, 1),

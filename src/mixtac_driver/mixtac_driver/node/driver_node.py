@@ -13,12 +13,12 @@ from rclpy.node import Node
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.publishers import (
+    CalibrationPublisher,
     ClockPublisher,
     EdgePublisher,
     EventPublisher,
     FramePublisher,
     InertialPublisher,
-    RectifiedPublisher,
 )
 from mixtac_driver.node.services import DriverServices
 from mixtac_driver.node.settings import DriverSettings
@@ -56,9 +56,11 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._epoch_us = np.empty(0, np.int64)
         self._identity: Identity | None = None
         self._meters = DriverMeters()
-        self._events = EventPublisher(self, p, topics.EVENTS, self._meters)
-        self._rectified = RectifiedPublisher(self, p)
-        self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
+        self._calibration = CalibrationPublisher(self, p)
+        self._event_publishers = [EventPublisher(self, p, topics.EVENTS, self._meters)]
+        if self._calibration.events is not None:
+            self._event_publishers.append(self._calibration.events)
+        self._frames = FramePublisher(self, p.camera_frame_id, self._calibration.complete)
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
         self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
@@ -74,12 +76,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
             on_batch=self._on_batch,
             on_error=self.get_logger().error,
         )
-        self._status = DriverStatus(
-            p.device, self._source, self._supervisor, self._settings, self._meters
-        )
-        self._driver_services = DriverServices(
-            self, self._source, self._settings, self._diagnostics.publish
-        )
+        self._status = DriverStatus(self._source, self._supervisor, self._settings, self._meters)
+        self._driver_services = DriverServices(self, self._source, self._settings)
         self._supervisor.start()
 
     def _report(self) -> Status:
@@ -118,16 +116,15 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if identity is None:
             raise RuntimeError('the source has no identity although it is open')
         size = identity.geometry.event_size
-        if self._source.control is not None:
-            self._settings.use_size(size)
-        self._rectified.use(size)
+        self._settings.use_size(size)
+        self._calibration.use(size)
         self._identity = identity
         return identity
 
     def _on_start(self) -> None:
         identity = self._use_identity()
-        self._events.restart()
-        self._rectified.restart()
+        for each in self._event_publishers:
+            each.restart()
         self._diagnostics.hardware_id = identity.serial
         self.get_logger().info(f'streaming: {self._kind.value} {identity.chip} {identity.serial}')
 
@@ -135,7 +132,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         decoded, origin_us, identity = batch.decoded, batch.origin.us, self._identity
         if identity is None:
             return
-        self._publish_events(batch, identity)
+        self._driver_services.watch(batch)
+        self._publish_events(batch, identity.geometry.event_size)
         if self._time is not None:
             self._time.publish(batch.time_us)
         for frame in decoded.frames:
@@ -147,23 +145,19 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if time.monotonic() >= self._clock_due_s:
             self._publish_clock(origin_us, identity.serial)
 
-    def _publish_events(self, batch: CameraBatch, identity: Identity) -> None:
-        events, size = batch.decoded.events, identity.geometry.event_size
+    def _publish_events(self, batch: CameraBatch, size: tuple[int, int]) -> None:
+        events = batch.decoded.events
         self._meters.events.add(len(events))
-        self._driver_services.watch_events(events, batch.time_us)
-        kept = self._settings.mask.keep(events, size)
+        events = self._settings.mask.keep(events)
         # Subscribers that come in between get the next batch.
-        wanted, rectified_wanted = self._events.wanted, self._rectified.wants_events
-        if wanted or rectified_wanted:
-            kept = self._on_epoch(kept, batch.origin.us)
-        if wanted:
-            self._events.publish(kept, batch.time_us, batch.arrival_ns, size)
-        else:
-            self._events.restart()
-        if rectified_wanted:
-            self._rectified.publish_events(kept, batch.time_us, batch.arrival_ns, size)
-        else:
-            self._rectified.restart()
+        wanted = [each.wanted for each in self._event_publishers]
+        if any(wanted):
+            events = self._on_epoch(events, batch.origin.us)
+        for publisher, is_wanted in zip(self._event_publishers, wanted, strict=True):
+            if is_wanted:
+                publisher.publish(events, batch.time_us, batch.arrival_ns, size)
+            else:
+                publisher.restart()
 
     def _on_epoch(self, events: Events, origin_us: int) -> Events:
         """Return events on the epoch-based camera clock; valid until the next call."""
@@ -178,7 +172,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
         self._frames.publish(frame, origin_us, identity)
-        self._driver_services.watch_frame(frame, origin_us)
         if self._source.control is not None:
             self._settings.follow(frame, exposure_us, self._source.control)
 

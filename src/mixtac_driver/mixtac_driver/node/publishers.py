@@ -38,6 +38,7 @@ class EventPublisher:
         p: Encoding, size and frame of the packets.
         topic: The topic.
         meters: Counts the packets, or None.
+        move: Applied to events before they are published, or None.
     """
 
     def __init__(
@@ -46,8 +47,9 @@ class EventPublisher:
         p: DeviceParameters,
         topic: Topic,
         meters: DriverMeters | None = None,
+        move: Callable[[Events], Events] | None = None,
     ) -> None:
-        self._p, self._meters = p, meters
+        self._p, self._meters, self._move = p, meters, move
         self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
@@ -63,7 +65,7 @@ class EventPublisher:
         self._packetizer = None
 
     def publish(self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]) -> None:
-        """Take events and publish the packets that they complete.
+        """Add events and publish the packets that they complete.
 
         Args:
             events: Events [us, epoch-based camera clock].
@@ -76,6 +78,8 @@ class EventPublisher:
             most_bytes = self._p.event_message_size_threshold
             self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
             self._writer = PacketWriter(self._p.camera_frame_id, self._p.encoding, size)
+        if self._move is not None:
+            events = self._move(events)
         for packet in self._packetizer.push(events, time_us, arrival_ns):
             if self._publisher.get_subscription_count():
                 message = self._writer.write(packet.encode(), self._sequence, packet.arrival_ns)
@@ -115,20 +119,16 @@ class FramePublisher:
             origin_us: Origin of the camera's clock [us since the Unix epoch].
             identity: The camera.
         """
-        image_wanted, info_wanted, exposure_wanted = (
-            publisher.get_subscription_count() > 0
-            for publisher in (self._image, self._info, self._exposure)
-        )
-        if image_wanted:
+        if self._image.get_subscription_count():
             color_filter = identity.features.color_filter
             image = messages.image(frame, origin_us, color_filter, self._frame_id)
             self._image.publish(image)
-        elif info_wanted or exposure_wanted:
+        else:
             image = messages.image_header(frame, origin_us, self._frame_id)
-        if info_wanted:
+        if self._info.get_subscription_count():
             size = (identity.geometry.width, identity.geometry.height)
             self._info.publish(self._complete(messages.camera_info(frame, size, image)))
-        if exposure_wanted:
+        if self._exposure.get_subscription_count():
             self._exposure.publish(messages.frame_exposure(frame, origin_us, image))
 
 
@@ -197,7 +197,7 @@ class EdgePublisher:
         """
         count, first = len(edges.t), self._sequence
         self._sequence += count
-        self._meters.edges.add(count)
+        self._meters.edges += count
         if not count or not self._publisher.get_subscription_count():
             return
         now_s = time.monotonic()
@@ -232,13 +232,12 @@ class ClockPublisher:
 
     def publish(self, time_us: int) -> None:
         """Publish a time [us, epoch-based camera clock], at most once per millisecond."""
-        # A seek back moves published time on, so that it never runs backwards.
         if time_us >= self._due_us:
             self._due_us = time_us + CLOCK_PERIOD_US
             self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
 
 
-class RectifiedPublisher:
+class CalibrationPublisher:
     """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and on `events_rect`.
 
     `events_rect` exists if a parameter enables it. Its pixels are the pixels of P in `camera_info`,
@@ -247,13 +246,17 @@ class RectifiedPublisher:
     Args:
         node: An rclpy node.
         p: Location and use of the calibration.
+
+    Attributes:
+        events: Publishes undistorted events, or None.
     """
 
     def __init__(self, node: Any, p: DriverParameters) -> None:  # noqa: ANN401
-        self._logger = node.get_logger()
-        self._p = p
+        self._logger, self._p = node.get_logger(), p
         self._camera: CalibratedCamera | None = None
-        self._events = EventPublisher(node, p, topics.EVENTS_RECT) if p.undistort_events else None
+        self.events: EventPublisher | None = None
+        if p.undistort_events:
+            self.events = EventPublisher(node, p, topics.EVENTS_RECT, move=self._undistort)
         node.create_service(SetCameraInfo, '~/set_camera_info', self._save)
 
     def use(self, size: tuple[int, int]) -> None:
@@ -269,31 +272,12 @@ class RectifiedPublisher:
             self._camera = CalibratedCamera(self._p, size)
             self._logger.info(self._camera.describe())
 
-    def restart(self) -> None:
-        """Discard unpublished events: another stream starts."""
-        if self._events is not None:
-            self._events.restart()
-
     def complete(self, info: CameraInfo) -> CameraInfo:
         """Write the calibration, if any, into camera information."""
-        if self._camera is not None:
-            for name, value in self._camera.camera_info_fields().items():
-                setattr(info, name, value)
-        return info
+        return info if self._camera is None else self._camera.complete(info)
 
-    @property
-    def wants_events(self) -> bool:
-        """True while undistorted events have subscribers."""
-        return self._events is not None and self._events.wanted
-
-    def publish_events(
-        self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]
-    ) -> None:
-        """Publish events at their undistorted pixels; arguments as in `EventPublisher.publish`."""
-        undistortion = None if self._camera is None else self._camera.undistortion
-        if self._events is not None and undistortion is not None:
-            moved = undistortion.undistort(events)
-            self._events.publish(moved, time_us, arrival_ns, size)
+    def _undistort(self, events: Events) -> Events:
+        return Events.empty() if self._camera is None else self._camera.undistort(events)
 
     def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
         try:

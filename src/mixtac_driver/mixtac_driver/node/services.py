@@ -8,28 +8,25 @@ They run in the executor's thread and wait there, for a bounded time, for the de
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from std_srvs.srv import Trigger
 
+from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
 from mixtac_driver.source import Source
-from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-from mixtac_events.readings import Frame
 from mixtac_node.base_node import answering
 from mixtac_node.files import state_file
 
 MARGIN_S = 1.0
-"""Additional time allowed for a frame or a count."""
-REPORT_PERIOD_S = 1.0
+"""Additional time allowed for a frame or a count [s]."""
 LISTED_PIXELS = 20
+"""Most hot pixels that an answer lists."""
 
 
 class NextFrame:
@@ -48,11 +45,13 @@ class NextFrame:
         self.stamp_us = 0
         self._after_us = after_us
 
-    def add(self, frame: Frame, origin_us: int) -> None:
-        """Take a frame into account."""
-        if not self.done.is_set() and frame.exposure_start_us + origin_us >= self._after_us:
-            self.stamp_us = frame.middle_us + origin_us
-            self.done.set()
+    def add(self, batch: CameraBatch) -> None:
+        """Look for the frame in a batch."""
+        for frame in batch.decoded.frames:
+            late_enough = frame.exposure_start_us + batch.origin.us >= self._after_us
+            if late_enough and not self.done.is_set():
+                self.stamp_us = frame.middle_us + batch.origin.us
+                self.done.set()
 
 
 class DriverServices:
@@ -62,7 +61,6 @@ class DriverServices:
         node: An rclpy node.
         source: The source.
         settings: Its settings.
-        meanwhile: Called once a second while a service waits.
     """
 
     def __init__(
@@ -70,34 +68,21 @@ class DriverServices:
         node: Any,  # noqa: ANN401
         source: Source,
         settings: DriverSettings,
-        meanwhile: Callable[[], None],
     ) -> None:
-        self._source, self._settings, self._meanwhile = source, settings, meanwhile
-        self._counter: PixelCounter | None = None
-        self._next_frame: NextFrame | None = None
+        self._source, self._settings = source, settings
+        self._watcher: PixelCounter | NextFrame | None = None
         self._time_us = 0
         offer = partial(node.create_service, Trigger)
         offer('~/snapshot', answering(lambda _: self.snapshot()))
         offer('~/reset_timestamps', answering(lambda _: self.reset_timestamps()))
         offer('~/find_hot_pixels', answering(lambda _: self.find_hot_pixels()))
 
-    def watch_events(self, events: Events, time_us: int) -> None:
-        """Take events into account, in the decoding thread.
-
-        Args:
-            events: Events before masking on the host; their times are not used.
-            time_us: Time that the stream has reached [us, epoch-based camera clock].
-        """
-        self._time_us = time_us
-        counter = self._counter
-        if counter is not None:
-            counter.add(events, time_us)
-
-    def watch_frame(self, frame: Frame, origin_us: int) -> None:
-        """Take a frame into account, in the decoding thread."""
-        next_frame = self._next_frame
-        if next_frame is not None:
-            next_frame.add(frame, origin_us)
+    def watch(self, batch: CameraBatch) -> None:
+        """Pass a batch, before its events are masked, to a waiting service; never waits."""
+        self._time_us = batch.time_us
+        watcher = self._watcher
+        if watcher is not None:
+            watcher.add(batch)
 
     def snapshot(self) -> str:
         """Take one frame, or wait for the next if frames are taken continuously.
@@ -105,19 +90,14 @@ class DriverServices:
         Raises:
             DriverError: There is no stream, or no frame came.
         """
-        p = self._settings.parameters
-        self._next_frame = next_frame = NextFrame(self._time_us)
-        try:
-            control = self._control('no frame can be requested')
-            control.request_frame()
-            exposure_us = control.parameters.aps_exposure
-            self._wait(next_frame.done, (2 * exposure_us + p.aps_frame_interval) / 1e6, 'frame')
-        finally:
-            self._next_frame = None
-        return f'frame of {next_frame.stamp_us / 1e6:.6f} s on the camera clock'
+        control = self._control('no frame can be requested')
+        p, frame = self._settings.parameters, NextFrame(self._time_us)
+        seconds = (2 * control.parameters.aps_exposure + p.aps_frame_interval) / 1e6
+        self._watch_with(frame, seconds, 'frame', before=control.request_frame)
+        return f'frame of {frame.stamp_us / 1e6:.6f} s on the camera clock'
 
     def reset_timestamps(self) -> str:
-        """Set the camera's clock to zero; published time goes on.
+        """Set the camera's clock to zero; published time continues.
 
         Raises:
             DriverError: There is no stream, or the request failed.
@@ -145,13 +125,10 @@ class DriverServices:
         # Pixels that the camera masks cannot be counted.
         self._settings.use_mask(before, self._source.apply, in_camera=False)
         try:
-            counter = self._count(p.hot_pixels_duration, size)
-            found = hot_pixels(
-                counter.counts,
-                p.hot_pixels_duration,
-                p.hot_pixels_minimum_rate,
-                p.hot_pixels_factor,
-            )
+            counter = PixelCounter(round(p.hot_pixels_duration * 1e6), size)
+            self._watch_with(counter, p.hot_pixels_duration, 'end of the count')
+            limits = (p.hot_pixels_duration, p.hot_pixels_minimum_rate, p.hot_pixels_factor)
+            found = hot_pixels(counter.counts, *limits)
             mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
             self._settings.use_mask(mask, self._source.apply)
         except MixtacError:
@@ -182,20 +159,22 @@ class DriverServices:
                 self._settings.use_mask(mask, self._source.control.keep)
             raise
 
-    def _count(self, duration_s: float, size: tuple[int, int]) -> PixelCounter:
-        self._counter = counter = PixelCounter(round(duration_s * 1e6), size)
+    def _watch_with(
+        self,
+        watcher: PixelCounter | NextFrame,
+        seconds: float,
+        what: str,
+        before: Any = None,  # noqa: ANN401
+    ) -> None:
+        """Pass batches to a watcher until it is done; `before` runs once it watches."""
+        self._watcher = watcher
         try:
-            self._wait(counter.done, duration_s, 'end of the count')
-        finally:
-            self._counter = None
-        return counter
-
-    def _wait(self, done: threading.Event, seconds: float, what: str) -> None:
-        deadline_s = time.monotonic() + seconds + MARGIN_S
-        while not done.wait(min(REPORT_PERIOD_S, max(deadline_s - time.monotonic(), 0.0))):
-            if time.monotonic() >= deadline_s:
+            if before is not None:
+                before()
+            if not watcher.done.wait(seconds + MARGIN_S):
                 raise StreamError(
                     f'no {what} within {seconds + MARGIN_S:.1f} s',
                     remedy='see /diagnostics for the state of the camera',
                 )
-            self._meanwhile()
+        finally:
+            self._watcher = None

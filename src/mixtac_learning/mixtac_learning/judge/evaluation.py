@@ -13,7 +13,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from mixtac_fger.estimator import ADAPTED_KEY
 from mixtac_fger.weights import Model, read_model
 from mixtac_learning.judge.estimators import (
     Judged,
@@ -131,8 +130,7 @@ def run_evaluation(
 
 def _warn_of_trained(model: Model, bags: Sequence[BagSource]) -> None:
     training = model.card.training
-    known = {*training.get('bags', ()), *training.get(ADAPTED_KEY, {}).get('bags', ())}
-    trained = [bag.name for bag in bags if bag.path.name in known]
+    trained = [bag.name for bag in bags if bag.path.name in training.get('bags', ())]
     if trained:
         names = ', '.join(trained)
         print(f'warning: the model was trained on bags of these names: {names}', file=sys.stderr)

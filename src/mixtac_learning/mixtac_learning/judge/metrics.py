@@ -10,6 +10,7 @@ press with a known force gives the ratio, and nothing else has to be learned aga
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -46,9 +47,8 @@ class Metrics:
     peak_estimate: float
 
     def to_dict(self) -> dict[str, float]:
-        """Return the figures by name, rounded to 0.1 mN, without those that do not exist."""
-        values = asdict(self)
-        return {name: round(value, 4) for name, value in values.items() if np.isfinite(value)}
+        """Return the figures by name, without those that do not exist."""
+        return {name: value for name, value in asdict(self).items() if np.isfinite(value)}
 
 
 def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metrics:
@@ -80,26 +80,42 @@ def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metr
     )
 
 
-def across_errors(
-    across: NDArray[np.float64], known: NDArray[np.float64]
-) -> tuple[float, float, float, float]:
-    """Return the mean absolute errors of the sideways force [N] per axis and of the torque [N mm].
+INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
+"""Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""
+
+
+def coverage(error: NDArray[np.float64], deviation: NDArray[np.float64]) -> dict[str, float]:
+    """Return the part of the windows within each of `INTERVALS`, and `mean_deviation` [N].
+
+    Zero width covers a zero error.
 
     Args:
-        across: Estimates, nan where unknown, [T, 3 or more].
+        error: Estimate minus known force [N], 1-d.
+        deviation: Standard deviation that the model gives [N], 1-d.
+    """
+    size = np.abs(error)
+    covered = {name: float(np.mean(size <= w * deviation)) for name, w in INTERVALS.items()}
+    return covered | {'mean_deviation': float(deviation.mean())}
+
+
+def across_errors(across: NDArray[np.float64], known: NDArray[np.float64]) -> dict[str, float]:
+    """Return the mean absolute errors across the normal, and the mean sizes of the true values.
+
+    Args:
+        across: Estimates of force x and y [N] and torque [Nm], nan where unknown, [T, 3 or more].
         known: True values [T, 3].
 
     Returns:
-        Error of the force, its mean size, error of the torque, its mean size.
+        `sideways_mae` and `sideways_size` per axis [N], `torque_mae_nmm`, `torque_size_nmm`.
     """
     inside = np.isfinite(across[:, :3]).all(axis=1)
     error, size = np.abs(across[inside, :3] - known[inside]), np.abs(known[inside])
-    return (
-        float(error[:, :2].mean()),
-        float(size[:, :2].mean()),
-        1e3 * float(error[:, 2].mean()),
-        1e3 * float(size[:, 2].mean()),
-    )
+    return {
+        'sideways_mae': float(error[:, :2].mean()),
+        'sideways_size': float(size[:, :2].mean()),
+        'torque_mae_nmm': 1e3 * float(error[:, 2].mean()),
+        'torque_size_nmm': 1e3 * float(size[:, 2].mean()),
+    }
 
 
 SMALLEST_FORCE_N = 0.1
@@ -247,3 +263,32 @@ def lag_ms(known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s
     left, top, right = products[best - 1 : best + 2]
     between = 0.5 * (left - right) / (left - 2.0 * top + right)
     return float(1e3 * interval_s * (best + between - reach))
+
+
+def over_time(
+    known: NDArray[np.float64],
+    estimate: NDArray[np.float64],
+    interval_s: float,
+    corrected: NDArray[np.bool_] | None,
+) -> dict[str, Any]:
+    """Return the figures of one trial that depend on the order of its windows; nan where unknown.
+
+    Args:
+        known: Known force [N], [T].
+        estimate: Estimate [N], [T].
+        interval_s: Time between windows [s].
+        corrected: Windows in which a frame was first used, [T]; None where that is not known.
+    """
+    fast, fast_constant = fast_error(known, estimate, interval_s)
+    rolling = rolling_errors(known, estimate, interval_s)
+    return {
+        'peak_error': peak_error(known, estimate, interval_s),
+        'fast_mae': fast,
+        'fast_constant_mae': fast_constant,
+        'rolling_first_mae': rolling[0],
+        'rolling_last_mae': rolling[-1],
+        'rolling_worst_mae': rolling.max(),
+        'frame_jump': float('nan') if corrected is None else frame_jump(estimate, corrected),
+        'hold_noise': hold_noise(known, estimate, interval_s),
+        'lag_ms': lag_ms(known, estimate, interval_s),
+    }

@@ -1,56 +1,43 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a model over trials: computed, as tables on the terminal, as plots."""
+"""Figures of a model over trials: computed, as tables on the terminal, as plots, as series."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mixtac_fger.reasons import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import (
     ROLLING_S,
     across_errors,
-    fast_error,
-    frame_jump,
+    coverage,
     hold_noise,
-    lag_ms,
     measure,
-    peak_error,
+    over_time,
     rolling_errors,
 )
 from mixtac_learning.trials.trial import DatasetError
-from mixtac_node.files import replacing
+from mixtac_node.files import FileError, replacing
 
-INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
-"""Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""
-
-
-def coverage_figures(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    """Return the part of all windows within each of `INTERVALS`, and the mean deviation [N].
-
-    Empty for models without an uncertainty output. Zero width covers a zero error.
-
-    Args:
-        estimates: Estimates, at least one.
-    """
-    pairs = [(np.abs(e.force - e.known), e.deviation) for e in estimates if e.deviation is not None]
-    if len(pairs) < len(estimates):
-        return {}
-    error = np.concatenate([each for each, _ in pairs])
-    deviation = np.concatenate([each for _, each in pairs])
-    covered = {name: np.mean(error <= width * deviation) for name, width in INTERVALS.items()}
-    figures = covered | {'mean_deviation': deviation.mean()}
-    return {name: round(float(value), 4) for name, value in figures.items()}
-
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ALL = 'all'
+"""Row of the figures over all profiles."""
+TRUTH = '#1f1f1f'
+"""Colour of the true force."""
+PAPER = '#8a8a8a'
+"""Colour of the paper's values."""
 
 
 def by_profile(
@@ -62,11 +49,10 @@ def by_profile(
         estimates: Estimates, at least one.
         scales: Scale of each sensor from another trial, by `TrialEstimate.device`; None for none.
     """
-    profiles = list(dict.fromkeys(each.profile for each in estimates))
-    rows = {
-        profile: summarise([each for each in estimates if each.profile == profile], scales)
-        for profile in profiles
-    }
+    profiles: dict[str, list[TrialEstimate]] = {}
+    for each in estimates:
+        profiles.setdefault(each.profile, []).append(each)
+    rows = {profile: summarise(chosen, scales) for profile, chosen in profiles.items()}
     return rows | {ALL: summarise(estimates, scales)}
 
 
@@ -76,156 +62,93 @@ def summarise(
     """Return the figures over trials; forces in N, ratios without unit.
 
     Returns:
-        `trials`; of all windows together what `Metrics` holds; the means over trials of
-        `peak_error` and of `fast_mae` with `fast_constant_mae`, and of the rolling error in the
-        first and last half second and at its worst, of `frame_jump`, `hold_noise` and `lag_ms`;
-        `reference_mae` against the measured reference where the true force is what counts
-        otherwise; `frames_only_mae` where the model has such an output; what `coverage_figures`
-        and `across_figures` give; with the scales `calibrated_mae`, `calibrated_rmse`,
-        `calibrated_hold_noise` and `calibrated_` before what `coverage_figures` gives.
+        `trials`; of all windows together what `Metrics` holds and `coverage` gives; the means over
+        trials of what `over_time` gives; `reference_mae` against the measured reference where the
+        true force is the label; `frames_only_mae` where the model has such an output; errors
+        across the normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of
+        what was estimated, where they are known; with scales `calibrated_mae`,
+        `calibrated_rmse`, `calibrated_hold_noise` and `calibrated_` before what `coverage` gives.
     """
-    known = np.concatenate([each.known for each in estimates])
-    pooled = measure(known, np.concatenate([each.force for each in estimates]))
-    figures: dict[str, Any] = {'trials': len(estimates)} | pooled.to_dict()
-    figures |= _over_time(estimates) | coverage_figures(estimates) | across_figures(estimates)
-    measured = [np.abs(e.force - e.reference) for e in estimates if e.reference is not None]
-    framed = [np.abs(e.frames_only - e.known) for e in estimates if e.frames_only is not None]
-    for name, errors in (('reference_mae', measured), ('frames_only_mae', framed)):
+    known = _joined(e.known for e in estimates)
+    figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates)).to_dict()
+    figures |= _mean_over_trials(estimates) | _coverage(estimates)
+    pairs = [(e.across, e.known_across) for e in estimates if e.across is not None]
+    told = [(a, k) for a, k in pairs if k is not None]
+    if told:
+        figures |= across_errors(_joined(a for a, _ in told), _joined(k for _, k in told))
+    for name, errors in (
+        ('reference_mae', [e.force - e.reference for e in estimates if e.reference is not None]),
+        (
+            'frames_only_mae',
+            [e.frames_only - e.known for e in estimates if e.frames_only is not None],
+        ),
+    ):
         if errors:
-            figures[name] = _rounded(float(np.concatenate(errors).mean()))
+            figures[name] = float(np.abs(_joined(errors)).mean())
     if scales is not None:
         scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
-        after = measure(known, np.concatenate([each.force for each in scaled]))
-        found = {'mae': _rounded(after.mae), 'rmse': _rounded(after.rmse)}
-        noise = np.array([hold_noise(e.known, e.force, _interval_s(e)) for e in scaled])
+        after = measure(known, _joined(e.force for e in scaled))
+        noise = np.array([hold_noise(e.known, e.force, e.interval_s) for e in scaled])
+        found = {'mae': after.mae, 'rmse': after.rmse, **_coverage(scaled)}
         if not np.isnan(noise).all():
-            found['hold_noise'] = _rounded(float(np.nanmean(noise)))
-        found |= coverage_figures(scaled)
+            found['hold_noise'] = float(np.nanmean(noise))
         figures |= {f'calibrated_{name}': value for name, value in found.items()}
-    return figures
+    return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
 
 
-def across_figures(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    """Return the errors across the normal over all windows; none where they are not known.
+def _joined(arrays: Iterable[NDArray[Any]]) -> NDArray[np.float64]:
+    return np.concatenate(list(arrays))
 
-    Returns:
-        `sideways_mae` per axis [N], `torque_mae_nmm`, and the mean sizes of what was estimated,
-        which is what no estimate at all would err by.
-    """
-    pairs = [
-        (each.across, each.known_across)
-        for each in estimates
-        if each.across is not None and each.known_across is not None
-    ]
-    if not pairs:
+
+def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
+    """Return what `coverage` gives over all windows; nothing for a model without deviations."""
+    deviations = [e.deviation for e in estimates if e.deviation is not None]
+    if len(deviations) < len(estimates):
         return {}
-    found, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    names = ('sideways_mae', 'sideways_size', 'torque_mae_nmm', 'torque_size_nmm')
-    return dict(zip(names, map(_rounded, across_errors(found, known)), strict=True))
+    return coverage(_joined(e.force - e.known for e in estimates), _joined(deviations))
 
 
-def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    rows = []
-    for each in estimates:
-        interval_s = _interval_s(each)
-        fast, fast_constant = fast_error(each.known, each.force, interval_s)
-        rolling = rolling_errors(each.known, each.force, interval_s)
-        peak = peak_error(each.known, each.force, interval_s)
-        noise = hold_noise(each.known, each.force, interval_s)
-        late = lag_ms(each.known, each.force, interval_s)
-        jump = np.nan if each.corrected is None else frame_jump(each.force, each.corrected)
-        ends = rolling[0], rolling[-1], rolling.max()
-        rows.append((peak, fast, fast_constant, *ends, jump, noise, late))
-    names = (
-        'peak_error',
-        'fast_mae',
-        'fast_constant_mae',
-        'rolling_first_mae',
-        'rolling_last_mae',
-        'rolling_worst_mae',
-        'frame_jump',
-        'hold_noise',
-        'lag_ms',
-    )
-    table = np.array(rows, np.float64)
-    return {
-        name: _rounded(float(np.nanmean(column)))
-        for name, column in zip(names, table.T, strict=True)
-        if not np.isnan(column).all()
-    }
-
-
-def _interval_s(estimate: TrialEstimate) -> float:
-    steps = np.diff(estimate.t_us)
-    return float(np.median(steps)) / 1e6 if len(steps) else 0.002
-
-
-def _rounded(value: float) -> float:
-    return round(value, 4)
+def _mean_over_trials(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
+    """Return the means of what `over_time` gives, over the trials that have the figure."""
+    rows = [over_time(e.known, e.force, e.interval_s, e.corrected) for e in estimates]
+    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return {n: float(np.nanmean(v)) for n, v in table.items() if not np.isnan(v).all()}
 
 
 COLUMNS = (
     'mae',
-    'sideways_mae',
-    'sideways_size',
-    'sideways_mae_with_gain',
-    'torque_mae_nmm',
-    'torque_size_nmm',
     'rmse',
     'r2',
     'calibrated_mae',
-    'frames_only_mae',
-    'constant_mae',
-    'reference_mae',
+    'sideways_mae',
+    'torque_mae_nmm',
     'peak_error',
-    'fast_mae',
-    'rolling_worst_mae',
-    'frame_jump',
-    'hold_noise',
-    'lag_ms',
     'coverage_68',
     'coverage_95',
-    'calibrated_hold_noise',
-    'calibrated_coverage_68',
-    'calibrated_coverage_95',
 )
-"""Figures in the order shown; those that no row has are left out."""
-_FIGURE = len('-0.000')
-_BORDERS = 4
-"""Characters of a table's edges and of the space about its first column."""
+"""Figures that are shown, in this order; those that no row has are left out."""
+
+
+def make_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """Return a table; its first column is aligned to the left, values to the right."""
+    # Names may hold square brackets.
+    table = Table(title=Text(title, 'table.title'), title_justify='left')
+    for number, heading in enumerate(headings):
+        table.add_column(Text(heading), justify='right' if number else 'left')
+    for row in rows:
+        table.add_row(*(Text(str(cell)) for cell in row))
+    return table
 
 
 def show_figures(console: Console, title: str, figures: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print figures, one row per profile; in several tables where the terminal is narrow."""
-    shown = [name for name in COLUMNS if any(name in row for row in figures.values())]
-    for names in _fitting(shown, console.width - max(map(len, ['profile', *figures]))):
-        table = Table(title=title, title_justify='left')
-        table.add_column('profile', no_wrap=True)
-        for name in names:
-            table.add_column(name.replace('_', ' '), justify='right', width=_width(name))
-        for profile, row in figures.items():
-            table.add_row(profile, *(f'{row[c]:.3f}' if c in row else '-' for c in names))
-        console.print(table)
-
-
-def _width(name: str) -> int:
-    """Return the characters that a column needs: its longest word, or a figure."""
-    return max(_FIGURE, *map(len, name.split('_')))
-
-
-def _fitting(names: Sequence[str], width: int) -> Iterator[list[str]]:
-    """Yield the columns in parts of which each fits into a width, at least one at a time."""
-    part: list[str] = []
-    left = width - _BORDERS
-    for name in names:
-        needed = _width(name) + _BORDERS - 1
-        if part and needed > left:
-            yield part
-            part, left = [], width - _BORDERS
-        part.append(name)
-        left -= needed
-    if part:
-        yield part
+    """Print the figures of `COLUMNS`, one row per profile."""
+    names = [name for name in COLUMNS if any(name in row for row in figures.values())]
+    rows = [
+        (profile, *(f'{row[name]:.3f}' if name in row else '-' for name in names))
+        for profile, row in figures.items()
+    ]
+    headings = ['profile', *(name.replace('_', ' ') for name in names)]
+    console.print(make_table(title, headings, rows))
 
 
 def show_skipped(console: Console, skipped: Mapping[str, str]) -> None:
@@ -234,25 +157,85 @@ def show_skipped(console: Console, skipped: Mapping[str, str]) -> None:
         console.print(f'left out {name}: {reason}', style='yellow', highlight=False)
 
 
-_ROWS = 4
+def new_axes(
+    columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its axes with a grid, row by row; sizes in inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout='constrained')
+    flat = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for ax in flat:
+        ax.spines[['top', 'right']].set_visible(False)
+        ax.grid(visible=True, alpha=0.25, linewidth=0.6)
+        ax.set_axisbelow(True)
+    return figure, flat
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Save a figure and return its path; its suffix gives the format.
+
+    Raises:
+        FileError: The file cannot be written, or its suffix is not that of a format.
+    """
+    try:
+        with replacing(path) as scratch:
+            figure.savefig(scratch, dpi=110)
+    except ValueError as error:
+        message = f'cannot write {path}: {error}'
+        raise FileError(message, remedy='name a .png or .pdf file') from error
+    return path
+
+
+def plot_forces(
+    ax: Axes,
+    known: TrialEstimate,
+    curves: Mapping[Any, TrialEstimate],
+    origin_us: float,
+    span_s: tuple[float, float],
+    *,
+    simulated: bool,
+) -> None:
+    """Plot estimates of one trial over the known force.
+
+    Args:
+        ax: Axes.
+        known: Any estimate of the trial.
+        curves: Estimates by how their models appear (`label` and `colour`).
+        origin_us: Time zero of the plot, camera clock [us].
+        span_s: Part that is shown [s].
+        simulated: Whether the trial is simulated.
+    """
+    name = 'true force' if simulated else 'reference'
+    lines = [(known.t_us, known.known, name, TRUTH, 2.2)]
+    lines += [(e.t_us, e.force, look.label, look.colour, 1.1) for look, e in curves.items()]
+    for t_us, force, label, colour, width in lines:
+        t_s = 1e-6 * (t_us - origin_us)
+        shown = (t_s >= span_s[0]) & (t_s <= span_s[1])
+        ax.plot(t_s[shown], force[shown], color=colour, label=label, lw=width, alpha=0.9)
+    ax.set_xlim(*span_s)
+
+
+MOST_ROWS = 4
+"""Trials in a picture, at most."""
 
 
 def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> None:
-    """Draw force over time and the rolling error, the first trials of each profile.
+    """Draw force over time and the rolling error of the first trial of each profile.
 
     Args:
         path: Picture to write; its folder is made if need be.
         title: Above the picture.
         estimates: Estimates.
-    """
-    from matplotlib.figure import Figure
 
+    Raises:
+        FileError: As `save_figure`.
+    """
     firsts = {each.profile: each for each in reversed(estimates)}
-    chosen = list(reversed(firsts.values()))[:_ROWS]
-    figure = Figure(figsize=(11.0, 2.4 * len(chosen) + 0.4), layout='constrained')
+    chosen = list(reversed(firsts.values()))[:MOST_ROWS]
+    figure, axes = new_axes(2, len(chosen), 11.0, 2.4 * len(chosen) + 0.4)
     figure.suptitle(title)
-    panels = figure.subplots(len(chosen), 2, squeeze=False, width_ratios=(3, 1))
-    for (left, right), each in zip(panels, chosen, strict=True):
+    for left, right, each in zip(axes[::2], axes[1::2], chosen, strict=True):
         seconds = (each.t_us - each.t_us[0]) / 1e6
         left.plot(seconds, each.known, 'k', lw=1.2, label='known force')
         if each.frames_only is not None:
@@ -260,11 +243,10 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
         left.plot(seconds, each.force, 'tab:green', lw=0.8, label='estimate')
         left.set(title=f'{each.profile}: {each.name}', xlabel='time [s]', ylabel='force [N]')
         left.legend(fontsize='x-small')
-        rolling = rolling_errors(each.known, each.force, _interval_s(each))
+        rolling = rolling_errors(each.known, each.force, each.interval_s)
         right.step(ROLLING_S * np.arange(len(rolling)), rolling, where='post')
         right.set(title='rolling MAE', xlabel='time [s]', ylabel='N', ylim=(0, None))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 SERIES = {
@@ -298,8 +280,8 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
     """Write forces over time, a row or an element per window.
 
     Columns: name of the trial; end of the window, camera clock [us]; force [N]; its standard
-    deviation [N], NaN from a model that gives none; whether the force can be trusted, and why not
-    by name; the force it is judged by [N]. A model without checks counts as trusted.
+    deviation [N], NaN from a model that gives none; whether the force is valid, and the name of the
+    reason why not; the known force [N]. A force of a model without checks counts as valid.
 
     Args:
         path: .csv or .npz file.
@@ -310,9 +292,8 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
         FileError: It cannot be written.
     """
     check_series(path)
-    columns: dict[str, Any] = {
-        name: np.concatenate([_series(e)[name] for e in estimates]) for name in SERIES
-    }
+    series = [_series(each) for each in estimates]
+    columns: dict[str, Any] = {name: _joined(each[name] for each in series) for name in SERIES}
     with replacing(path) as scratch:
         if path.suffix == '.npz':
             with scratch.open('wb') as file:

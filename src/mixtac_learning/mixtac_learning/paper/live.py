@@ -102,9 +102,9 @@ class PaperEstimator:
         content, force = None, 0.0
         if isinstance(network, FgerPaper):
             content = network.frame(frame)
-            force = float(network.corrected(torch.zeros(1, device=self._device), content)[0])
+            force = float(network.force_of(content)[0])
         elif isinstance(network, FramesOnly):
-            content = network.frame_force(frame, frame)
+            content = network.force_of(network.features(frame, frame))
             force = float(content[0])
         elif isinstance(network, FeatureFusion):
             content = network.frame(frame)
@@ -166,7 +166,7 @@ class PaperEstimator:
         counts, self._counts = self._counts, self._no_counts()
         events = torch.from_numpy(np.log1p(counts.astype(np.float32)))[None].to(self._device)
         features = torch.cat([content, self._network.events(events)], 1)
-        return torch.Tensor(self._network.head(features)[:, 0])
+        return self._network.force_of(features)
 
     def _no_counts(self) -> NDArray[np.int64]:
         return np.zeros((2, *self._config.frame_shape), np.int64)

@@ -524,6 +524,14 @@ class FgerPaper(RecurrentModel):
             given = state.force - withheld
         return given, state
 
+    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:  # noqa: ARG002
+        """Return f_frame of frames, [N, channels]; the events are not used."""
+        return torch.Tensor(self.frame(frames))
+
+    def force_of(self, features: Tensor) -> Tensor:
+        """Return the correction of an estimate of zero by frames of f_frame [N] (in N)."""
+        return self.corrected(torch.zeros_like(features[:, 0]), features)
+
     def corrected(self, force: Tensor, feature: Tensor) -> Tensor:
         """Return forces [N] corrected by frames of features [N, channels] [N]."""
         return force + torch.Tensor(self.correction(torch.cat([force[:, None], feature], 1))[:, 0])
@@ -561,15 +569,15 @@ class FrameModel(nn.Module):
         """Return what the head reads of each frame, [N, size]; inputs as in `SegmentBatch`."""
         raise NotImplementedError
 
-    def frame_force(self, frames: Tensor, event_frames: Tensor) -> Tensor:
-        """Return the force [N] of each frame, [N]; inputs as in `SegmentBatch`."""
-        return torch.Tensor(self.head(self.features(frames, event_frames))[:, 0])
+    def force_of(self, features: Tensor) -> Tensor:
+        """Return the force [N] of each frame, [N], by what `features` returns."""
+        return torch.Tensor(self.head(features)[:, 0])
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
         own = batch.force.new_zeros(1)
         if len(batch.frames):
-            own = self.frame_force(batch.frames, batch.event_frames)
+            own = self.force_of(self.features(batch.frames, batch.event_frames))
         known = torch.where(batch.before >= 0, own[batch.before.clamp(min=0)], state.force)
         forces = []
         for slots in batch.slots:

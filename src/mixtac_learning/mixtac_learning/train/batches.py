@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -66,14 +65,12 @@ def stack(
 
     Args:
         samples: Trials.
-        devices: Number of the sensor of each; None to count them by their origins' device seeds.
+        devices: Number of the sensor of each; None if each is of another.
         length: Windows to pad to; None for those of the longest.
     """
     if length is None:
         length = max(len(sample.force) for sample in samples)
     counts = [len(sample.frame_force) for sample in samples]
-    if devices is None:
-        devices = _count_devices(samples)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
 
     def padded(name: str, fill: int = 0) -> Tensor:
@@ -97,14 +94,8 @@ def stack(
         frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
         frame_across=torch.from_numpy(np.concatenate([s.frame_across for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
-        device=torch.tensor(list(devices)),
+        device=torch.tensor(list(range(len(samples)) if devices is None else devices)),
     )
-
-
-def _count_devices(samples: Sequence[Sample]) -> list[int]:
-    seeds = [sample.origin.get('device_seed', column) for column, sample in enumerate(samples)]
-    known = sorted(set(seeds))
-    return [known.index(seed) for seed in seeds]
 
 
 def mirror_frames(frames: Tensor, config: FgerConfig, columns: bool, rows: bool) -> Tensor:
@@ -134,44 +125,6 @@ def mirror_across(values: Tensor, columns: bool, rows: bool) -> Tensor:
     """Return sideways force and torsion [..., 3] of a mirrored sensor."""
     signs = [-1.0 if each else 1.0 for each in (columns, rows, columns != rows)]
     return values * torch.tensor(signs, dtype=values.dtype, device=values.device)
-
-
-class SequenceGroups(Protocol):
-    """Groups of trials, each side by side as `Sequences`."""
-
-    @property
-    def devices(self) -> int:
-        """Number of different sensors over all groups."""
-
-    def __len__(self) -> int:
-        """Return the number of groups."""
-
-    def load(self, index: int) -> Sequences:
-        """Return a group; its device numbers count over all groups."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MemoryGroups:
-    """One group that is in memory.
-
-    Attributes:
-        sequences: The group.
-    """
-
-    sequences: Sequences
-
-    @property
-    def devices(self) -> int:
-        """Number of different sensors."""
-        return int(self.sequences.device.max()) + 1
-
-    def __len__(self) -> int:
-        """Return 1."""
-        return 1
-
-    def load(self, index: int) -> Sequences:  # noqa: ARG002
-        """Return the group."""
-        return self.sequences
 
 
 class DiskGroups:

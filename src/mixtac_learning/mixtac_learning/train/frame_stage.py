@@ -18,7 +18,7 @@ from torch.nn.functional import linear, smooth_l1_loss
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import (
-    SequenceGroups,
+    DiskGroups,
     Sequences,
     mirror_across,
     mirror_frames,
@@ -137,7 +137,7 @@ def encode(network: FgerNetwork, sequences: Sequences, flip: Flip = (False, Fals
 
 
 def mean_error(
-    groups: SequenceGroups | None,
+    groups: DiskGroups | None,
     device: torch.device,
     errors: Callable[[Sequences], Tensor],
 ) -> float | None:
@@ -170,10 +170,10 @@ class FrameStage(Stage):
     """
 
     model: NetworkWithGains
-    groups: SequenceGroups
+    groups: DiskGroups
     settings: TrainingSettings
     processes: Processes
-    checked: SequenceGroups | None = None
+    checked: DiskGroups | None = None
 
     def __post_init__(self) -> None:
         """Take epochs and rate from the settings."""

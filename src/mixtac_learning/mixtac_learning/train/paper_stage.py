@@ -10,7 +10,7 @@ their beginning, without any true force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -33,7 +33,6 @@ from mixtac_learning.paper.networks import (
     PaperNetwork,
     PaperState,
     Scale,
-    SegmentBatch,
     build,
 )
 from mixtac_learning.paper.samples import PaperSample
@@ -58,7 +57,7 @@ class PaperTraining:
     schedule='constant'`.
 
     Attributes:
-        seed: Random seed for weights, order and mirroring.
+        seed: Random seed for weights and order.
         frame_epochs: Epochs on single frames of the head, or of the correction of an estimate of
             zero; features do not learn.
         event_epochs: Epochs of the event path alone, of `_UPDATES` updates each, on changes of the
@@ -79,7 +78,6 @@ class PaperTraining:
         weight_decay: AdamW's default.
         loss_knee_n: Errors above count linearly, below quadratically [N].
         force_weight: Additional weight of an error per newton of force [1/N].
-        mirror: Show mirror images too.
         mixed: In bfloat16 on a CPU as well, which is faster where the processor knows it.
         patience: Epochs without a better validation error before a stage ends; the best weights
             are kept unless it is 0, for never.
@@ -102,7 +100,6 @@ class PaperTraining:
     weight_decay: float = 1e-2
     loss_knee_n: float = 0.05
     force_weight: float = 1.0
-    mirror: bool = False
     mixed: bool = True
     patience: int = 50
 
@@ -191,12 +188,6 @@ class PaperStage(Stage):
             yield
         self.network.train(training)
 
-    def flips(self, random: torch.Generator) -> list[int]:
-        """Return the axes of images that are mirrored this time."""
-        if not self.settings.mirror:
-            return []
-        return [axis for axis in (-2, -1) if torch.rand(1, generator=random) < 0.5]
-
     def loss(self, force: Tensor, known: Tensor) -> Tensor:
         """Return the weighted loss of forces of any shape."""
         errors = smooth_l1_loss(force, known, beta=self.settings.loss_knee_n, reduction='none')
@@ -214,22 +205,19 @@ class FrameStage(PaperStage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
-        found = arrivals(self.samples, self.own)
-        flips = self.flips(random)
-        features = labels = None
-        if 'frame' in self.frozen:
-            features, labels = self._encoded(self.samples, found, flips)
+        network, found = self._network, arrivals(self.samples, self.own)
+        known = self._encoded(self.samples, found) if 'frame' in self.frozen else None
         order = torch.randperm(len(found), generator=random)
         size = self.settings.frame_batch
         for update in range(self.updates()):
             chosen = order[update * size : (update + 1) * size]
-            if features is None or labels is None:
-                seen, known = self._features(self.samples, found[chosen.numpy()], flips)
+            if known is None:
+                features, labels = self._features(self.samples, found[chosen.numpy()])
             else:
-                seen, known = features[chosen], labels[chosen]
-            yield self.loss(self._force(seen), known)
-        if isinstance(self.network, FgerPaper):
-            self.network.begin_at_frames()
+                features, labels = known[0][chosen], known[1][chosen]
+            yield self.loss(network.force_of(features), labels)
+        if isinstance(network, FgerPaper):
+            network.begin_at_frames()
 
     def validate(self) -> float | None:
         """Return the mean absolute error at the frames of the trials to validate on [N]."""
@@ -240,48 +228,38 @@ class FrameStage(PaperStage):
         if not self.checked:
             return None
         found = arrivals(self.checked, range(len(self.checked)))
-        features, known = self._encoded(self.checked, found, [])
-        return float((self._force(features) - known).abs().mean())
+        features, known = self._encoded(self.checked, found)
+        return float((self._network.force_of(features) - known).abs().mean())
 
-    def _force(self, features: Tensor) -> Tensor:
-        """Return the force of each frame; of a correction from an estimate of zero."""
-        if isinstance(self.network, FrameModel):
-            return torch.Tensor(self.network.head(features)[:, 0])
-        if isinstance(self.network, FgerPaper):
-            return self.network.corrected(torch.zeros_like(features[:, 0]), features)
-        raise TrainingError('a network without frames has no frame stage')
+    @property
+    def _network(self) -> FgerPaper | FrameModel:
+        if isinstance(self.network, EventsOnly):
+            raise TrainingError('a network without frames has no frame stage')
+        return self.network
 
     def _features(
-        self, samples: Sequence[PaperSample], chosen: NDArray[np.int64], flips: list[int]
+        self, samples: Sequence[PaperSample], chosen: NDArray[np.int64]
     ) -> tuple[Tensor, Tensor]:
         """Return features and labels of frames, sorted by trial."""
         batch = frame_batch(samples, chosen, self.network.config)
         frames, event_frames, known = (part.to(self.device) for part in batch)
-        if isinstance(self.network, FgerPaper):
-            return self.network.frame(mirrored_frames(frames, flips)), known
-        if isinstance(self.network, FrameModel):
-            seen = mirrored_frames(frames, flips), event_frames.flip(flips)
-            return self.network.features(*seen), known
-        raise TrainingError('a network without frames has no frame stage')
+        return self._network.features(frames, event_frames), known
 
     @torch.no_grad()
     def _encoded(
-        self, samples: Sequence[PaperSample], found: NDArray[np.int64], flips: list[int]
+        self, samples: Sequence[PaperSample], found: NDArray[np.int64]
     ) -> tuple[Tensor, Tensor]:
         """Return features and labels of all frames; kept while the features do not learn."""
-        key = (len(found), samples is self.checked, tuple(flips))
-        if key not in self._kept:
-            with self.plainly():
-                parts = [
-                    self._features(samples, found[first : first + _ENCODED], flips)
-                    for first in range(0, len(found), _ENCODED)
-                ]
-            both = torch.cat([each for each, _ in parts]), torch.cat([each for _, each in parts])
-            if 'frame' not in self.frozen:
-                return both
+        key = (len(found), samples is self.checked)
+        if key in self._kept:
+            return tuple(self._kept[key])
+        starts = range(0, len(found), _ENCODED)
+        with self.plainly():
+            parts = [self._features(samples, found[at : at + _ENCODED]) for at in starts]
+        both = torch.cat([each for each, _ in parts]), torch.cat([each for _, each in parts])
+        if 'frame' in self.frozen:
             self._kept[key] = both
-        found_before: tuple[Tensor, Tensor] = self._kept[key]
-        return found_before
+        return both
 
 
 _ENCODED = 256
@@ -310,7 +288,7 @@ class EventStage(PaperStage):
             for index in torch.randint(len(self.own), (half,), generator=random).tolist():
                 start = int(torch.randint(1, longest[index], (1,), generator=random))
                 chosen.append(Segment(self.own[index], start, start + _STRETCH))
-            force, known = run_stretches(self.network, self.samples, chosen, self.flips(random))
+            force, known = run_stretches(self.network, self.samples, chosen)
             yield self.loss(force, known)
 
     def validate(self) -> float | None:
@@ -338,10 +316,7 @@ class EventStage(PaperStage):
 
 
 def run_stretches(
-    network: PaperNetwork,
-    samples: Sequence[PaperSample],
-    chosen: Sequence[Segment],
-    flips: Sequence[int] = (),
+    network: PaperNetwork, samples: Sequence[PaperSample], chosen: Sequence[Segment]
 ) -> tuple[Tensor, Tensor]:
     """Run the event path alone through stretches, from the true force and an empty memory.
 
@@ -349,7 +324,6 @@ def run_stretches(
         network: With a recurrence.
         samples: Trials.
         chosen: Stretches of equal length; none begins with the first window of its trial.
-        flips: Axes along which the sensor is mirrored, -2 or -1.
 
     Returns:
         Estimated and true force [N], float32 [windows, stretches].
@@ -362,7 +336,7 @@ def run_stretches(
     recurrence, config = network.recurrence, replace(network.config, model='events')
     state = network.initial_state(len(chosen))
     device = state.force.device
-    batch = mirrored(assemble(samples, chosen, config), flips).to(device)
+    batch = assemble(samples, chosen, config).to(device)
     before = [float(samples[s.trial].force[s.start - 1]) for s in chosen]
     state = state._replace(force=torch.tensor(before, device=device))
     features, forces = recurrence.features(batch), []
@@ -386,8 +360,7 @@ class RecurrentStage(PaperStage):
         groups, left = self._groups(), self.updates()
         config = self.network.config
         for number in torch.randperm(len(groups), generator=random).tolist():
-            group, flips = groups[number], self.flips(random)
-            features = self._features(tuple(flips))
+            group, features = groups[number], self._features()
             state = self.network.initial_state(len(group))
             start, longest = 0, len(self.samples[group[0]].force)
             # The first stretch has any length, so that borders differ from epoch to epoch.
@@ -399,28 +372,26 @@ class RecurrentStage(PaperStage):
                 segments = [Segment(trial, start, stop) for trial in active]
                 batch = assemble(self.samples, segments, config, features)
                 kept = PaperState(*(part[: len(active)] for part in state))
-                force, state = self.network(mirrored(batch, flips).to(self.device), kept)
+                force, state = self.network(batch.to(self.device), kept)
                 state = PaperState(*(part.detach() for part in state))
                 yield self.loss(force, batch.force.to(self.device))
                 start, stop, left = stop, stop + self._windows, left - 1
 
-    def _features(self, flips: tuple[int, ...]) -> list[NDArray[np.float32]]:
+    def _features(self) -> list[NDArray[np.float32]]:
         """Return f_frame of all frames by trial, where the frame network does not learn."""
         if not isinstance(self.network, FgerPaper) or not self.frozen:
             return []
-        if flips not in self._kept:
-            self._kept[flips] = [self._encode(sample, flips) for sample in self.samples]
-        found: list[NDArray[np.float32]] = self._kept[flips]
-        return found
+        if not self._kept:
+            self._kept = dict(enumerate(map(self._encode, self.samples)))
+        return [self._kept[trial] for trial in range(len(self.samples))]
 
     @torch.no_grad()
-    def _encode(self, sample: PaperSample, flips: tuple[int, ...]) -> NDArray[np.float32]:
+    def _encode(self, sample: PaperSample) -> NDArray[np.float32]:
         seen = sample.seen(np.arange(len(sample.frames)), self.network.config)
-        frames = mirrored_frames(torch.from_numpy(seen), flips).to(self.device)
+        frames = torch.from_numpy(seen).to(self.device)
         with self.plainly():
-            parts = [
-                self.network.get_submodule('frame')(part) for part in torch.split(frames, _ENCODED)
-            ]
+            encode = self.network.get_submodule('frame')
+            parts = [encode(part) for part in torch.split(frames, _ENCODED)]
         return np.asarray(torch.cat(parts).cpu().numpy(), np.float32)
 
     @property
@@ -432,34 +403,6 @@ class RecurrentStage(PaperStage):
         order = sorted(self.own, key=lambda trial: -len(self.samples[trial].force))
         size = self.settings.group_trials
         return [order[first : first + size] for first in range(0, len(order), size)]
-
-
-def mirrored_frames(frames: Tensor, axes: Sequence[int]) -> Tensor:
-    """Return inputs of the frame network as of a sensor mirrored along axes of the image.
-
-    Args:
-        frames: [N, channels, rows, columns], see `frame_input`.
-        axes: -2, -1 or both.
-    """
-    flipped = frames.flip(list(axes))
-    if frames.shape[1] > 1:
-        signs = frames.new_tensor([1.0, -1.0 if -1 in axes else 1.0, -1.0 if -2 in axes else 1.0])
-        flipped *= signs[:, None, None]
-    return flipped
-
-
-def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
-    """Return a batch as a sensor mirrored along axes of the image, -2 or -1, would give it."""
-    if not axes:
-        return batch
-    signs = [-1.0 if -1 in axes else 1.0, -1.0 if -2 in axes else 1.0, 1.0, 1.0]
-    return replace(
-        batch,
-        points=batch.points * torch.tensor(signs),
-        # Features that are known are those of the mirrored frames already.
-        frames=mirrored_frames(batch.frames, axes) if batch.frames.dim() > 2 else batch.frames,
-        event_frames=batch.event_frames.flip(list(axes)),
-    )
 
 
 @torch.no_grad()
@@ -516,7 +459,7 @@ def train_paper(
     *,
     device: str,
     processes: Processes,
-    make_loop: Callable[..., TrainingLoop],
+    **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
     """Train one network and return it, on the CPU in evaluation mode, and the curves.
 
@@ -529,7 +472,7 @@ def train_paper(
         checked: Trials to validate on.
         device: Device to compute on.
         processes: Processes that share the training.
-        make_loop: Makes the loop, with the checkpoint and the report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or there are fewer trials than processes.
@@ -541,7 +484,7 @@ def train_paper(
     own = processes.share(range(len(samples)))
     if not own:
         raise TrainingError(f'{len(samples)} trials for {processes.world} processes')
-    loop = make_loop(
+    loop = TrainingLoop(
         network,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
@@ -549,6 +492,7 @@ def train_paper(
         patience=settings.patience,
         processes=processes,
         mixed=settings.mixed,
+        **options,
     )
     kinds: dict[str, type[PaperStage]] = {'frames': FrameStage}
     if not isinstance(network, FrameModel):

@@ -6,10 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import random
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,28 +17,24 @@ from rich.progress import Progress, TaskID
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig, from_mapping
-from mixtac_fger.weights import (
-    Model,
-    ModelCard,
-    save_model,
-)
+from mixtac_fger.weights import Model, ModelCard, save_model
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
-from mixtac_learning.judge.report import show_figures, show_skipped
+from mixtac_learning.judge.report import new_axes, save_figure, show_figures, show_skipped
 from mixtac_learning.network import model_of, usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
-from mixtac_learning.train.loop import Report, TrainingError, TrainingLoop
+from mixtac_learning.train.loop import Report, TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.store import Recipe, prepare
+from mixtac_learning.trials.store import prepare
 from mixtac_learning.trials.trial import TrialSource, sensor_of
 from mixtac_node.files import write_json
 from mixtac_sim.world import training_trials as generation
@@ -50,6 +44,19 @@ from mixtac_sim.world.training_trials import (
     training_plan,
     unseen_devices,
 )
+
+
+def recipe_of(config: RunConfig) -> FgerRecipe | PaperRecipe:
+    """Return how the network of a run needs its samples.
+
+    Raises:
+        ConfigError: A field of the network is unknown or impossible.
+    """
+    if config.model == OURS:
+        network = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
+        return FgerRecipe(network, config.data.label)
+    paper = PaperConfig.from_dict({'model': config.model} | config.network)
+    return PaperRecipe(paper, config.data.label)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +104,7 @@ def training_sources(data: DataConfig) -> list[TrialSource]:
 
 def gather(
     data: DataConfig,
-    recipe: Recipe,
+    recipe: FgerRecipe | PaperRecipe,
     jobs: int,
     on_progress: Callable[[int, int], None],
     processes: Processes,
@@ -196,16 +203,14 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
         folder: Made if need be.
         curves: As in `mixtac_learning.train.loop.Progress`.
     """
-    from matplotlib.figure import Figure
-
     write_json(folder / 'curves.json', {'epochs': list(curves)})
     stages = list(dict.fromkeys(row['stage'] for row in curves)) or ['none']
-    figure = Figure(figsize=(4.0 * len(stages), 3.0), layout='constrained')
-    panels = figure.subplots(1, len(stages), squeeze=False)[0]
+    figure, panels = new_axes(len(stages), width=4.0 * len(stages), height=3.0)
     for panel, stage in zip(panels, stages, strict=True):
         rows = [row for row in curves if row['stage'] == stage]
-        epochs = [row['epoch'] for row in rows]
-        panel.plot(epochs, [row['loss'] for row in rows], label='training loss')
+        panel.plot(
+            [row['epoch'] for row in rows], [row['loss'] for row in rows], label='training loss'
+        )
         known = [(row['epoch'], row['validation']) for row in rows if row['validation'] is not None]
         if known:
             panel.plot(*zip(*known, strict=True), label='validation MAE')
@@ -214,7 +219,7 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
         scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
         panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
         panel.legend()
-    figure.savefig(folder / 'curves.png', dpi=110)
+    save_figure(figure, folder / 'curves.png')
 
 
 CHECKPOINT = 'checkpoint.safetensors'
@@ -261,67 +266,43 @@ def train_model(
         DatasetError: No trial can be used.
         TrainingError: The folder is another run's, or training fails.
     """
-    started, busy = time.monotonic(), time.process_time()
-    together = processes or Processes()
-    device = chosen_device(config.device)
-    own_epochs = 0
-
-    def count(*row: Any) -> None:  # noqa: ANN401
-        nonlocal own_epochs
-        own_epochs += 1
-        report(*row)
-
-    def make_loop(*arguments: Any, **settings: Any) -> TrainingLoop:  # noqa: ANN401
-        checkpoint = None if folder is None else folder / CHECKPOINT
-        names = [path.name for path in (*data.trained, *data.checked)]
-        text = f'{config.fingerprint()} {names} {together.world}'
-        digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-        return TrainingLoop(
-            *arguments, checkpoint=checkpoint, fingerprint=digest, report=count, **settings
-        )
-
-    with_card: Callable[[ModelCard], Model]
-    settings: TrainingSettings | PaperTraining
-    if config.model == OURS:
-        fger = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
-        settings = from_mapping(TrainingSettings, config.training, 'training')
-        data = gather(config.data, FgerRecipe(fger, config.data.label), jobs, on_progress, together)
-        own = together.share(range(len(data.trained)))
-        groups = DiskGroups(data.trained, fger, settings.group_trials, own)
-        held = DiskGroups(data.checked, fger, settings.group_trials) if data.checked else None
-        fger_network, curves = train_fger(
-            fger, settings, groups, held, device=device, processes=together, make_loop=make_loop
-        )
-        with_card = partial(model_of, fger_network)
+    together, device, recipe = (
+        processes or Processes(),
+        chosen_device(config.device),
+        recipe_of(config),
+    )
+    kind = TrainingSettings if config.model == OURS else PaperTraining
+    settings: Any = from_mapping(kind, config.training, 'training')
+    data = gather(config.data, recipe, jobs, on_progress, together)
+    names = [path.name for path in (*data.trained, *data.checked)]
+    text = f'{config.fingerprint()} {names} {together.world}'
+    shared: dict[str, Any] = {
+        'device': device,
+        'processes': together,
+        'report': report,
+        'checkpoint': None if folder is None else folder / CHECKPOINT,
+        'fingerprint': hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
+    }
+    if isinstance(recipe, FgerRecipe):
+        own, size = together.share(range(len(data.trained))), settings.group_trials
+        groups = DiskGroups(data.trained, recipe.config, size, own)
+        held = DiskGroups(data.checked, recipe.config, size) if data.checked else None
+        network, curves = train_fger(recipe.config, settings, groups, held, **shared)
+        model = model_of(network, ModelCard({}))
     else:
-        paper = PaperConfig.from_dict({'model': config.model} | config.network)
-        settings = from_mapping(PaperTraining, config.training, 'training')
-        recipe = PaperRecipe(paper, config.data.label)
-        data = gather(config.data, recipe, jobs, on_progress, together)
         samples, checked = (
             [load_paper_sample(path) for path in paths] for paths in (data.trained, data.checked)
         )
-        paper_network, curves = train_paper(
-            paper,
-            settings,
-            samples,
-            checked,
-            device=device,
-            processes=together,
-            make_loop=make_loop,
-        )
-        with_card = partial(paper_model_of, paper_network)
-    # What the epochs took that were done before an interruption counts as well.
-    before = curves[: len(curves) - own_epochs]
-    wall_s, core_s = (sum(row[name] for row in before) for name in ('seconds', 'core_seconds'))
+        paper, curves = train_paper(recipe.config, settings, samples, checked, **shared)
+        model = paper_model_of(paper, ModelCard({}))
     training = provenance(config, data, asdict(settings)) | {
-        'minutes': round((wall_s + time.monotonic() - started) / 60, 1),
-        'core_minutes': round((core_s + time.process_time() - busy) / 60, 2),
+        'minutes': round(sum(row['seconds'] for row in curves) / 60, 1),
+        'core_minutes': round(sum(row['core_seconds'] for row in curves) / 60, 2),
         'processes': together.world,
     }
     if folder is not None and together.leads:
         write_curves(folder, curves)
-    return Trained(with_card(ModelCard(training)), curves, data.sources, data.skipped)
+    return Trained(replace(model, card=ModelCard(training)), curves, data.sources, data.skipped)
 
 
 def chosen_device(name: str) -> str:
@@ -357,6 +338,9 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
     console = Console(quiet=not processes.leads, markup=False)
     # Small networks: more threads wait for each other longer than they help.
     torch.set_num_threads(1)
+    if folder is None:
+        digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
+        folder = Path('runs') / f'train_{config.model}_{digest}'
     try:
         with Progress(console=console) as progress:
             bars: dict[str, TaskID] = {}
@@ -374,43 +358,37 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
 
             trained = train_model(
                 config,
-                folder or default_folder(config),
+                folder,
                 jobs=jobs,
                 report=report,
                 on_progress=lambda done, total: show('preparing', done, total, 'preparing'),
                 processes=processes,
             )
-        if not processes.leads:
-            return
-        show_skipped(console, trained.skipped)
-        # The weights first: training took its time, and not every model can be judged.
-        save_model(Path(config.out), trained.model)
-        metrics: dict[str, Any] = {}
-        try:
-            metrics = judge_trained(config, trained)
-        except MixtacError as error:
-            console.print(f'not judged: {error}', style='yellow', highlight=False)
-        for title, figures in metrics.items():
-            show_figures(console, title.replace('_', ' '), figures)
-        card = ModelCard(trained.model.card.training, metrics)
-        write_trained(console, config, replace(trained.model, card=card), json)
+        if processes.leads:
+            show_skipped(console, trained.skipped)
+            _judge_and_write(console, config, trained, json)
     finally:
         processes.leave()
 
 
-def write_trained(console: Console, config: RunConfig, model: Model, json: Path | None) -> None:
-    """Write a model, and its figures where they are asked for."""
-    out, card = Path(config.out), model.card
-    save_model(out, model)
-    console.print(f'wrote {out}')
-    content = {'model': str(out), 'run': asdict(config), 'training': card.training}
-    write_json(json, content | {'metrics': card.metrics})
-
-
-def default_folder(config: RunConfig) -> Path:
-    """Return the folder of a run that is given none."""
-    digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
-    return Path('runs') / f'train_{config.model}_{digest}'
+def _judge_and_write(
+    console: Console, config: RunConfig, trained: Trained, json: Path | None
+) -> None:
+    """Write a model, judge it, and write it again with its figures."""
+    # The weights first: training took its time, and not every model can be judged.
+    save_model(Path(config.out), trained.model)
+    metrics: dict[str, Any] = {}
+    try:
+        metrics = judge_trained(config, trained)
+    except MixtacError as error:
+        console.print(f'not judged: {error}', style='yellow', highlight=False)
+    for title, figures in metrics.items():
+        show_figures(console, title.replace('_', ' '), figures)
+    training = trained.model.card.training
+    save_model(Path(config.out), replace(trained.model, card=ModelCard(training, metrics)))
+    console.print(f'wrote {config.out}')
+    content = {'model': config.out, 'run': asdict(config), 'training': training}
+    write_json(json, content | {'metrics': metrics})
 
 
 def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:

@@ -12,7 +12,7 @@ unknown stiffness belongs to the uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -33,7 +33,7 @@ from mixtac_learning.network import (
     arrays_of,
 )
 from mixtac_learning.train.batches import (
-    SequenceGroups,
+    DiskGroups,
     Sequences,
     mirror_events,
 )
@@ -168,10 +168,10 @@ class SequenceStage(Stage):
     """
 
     model: NetworkWithGains
-    groups: SequenceGroups
+    groups: DiskGroups
     settings: TrainingSettings
     joint: bool = False
-    checked: SequenceGroups | None = None
+    checked: DiskGroups | None = None
     processes: Processes = field(default_factory=Processes)
     _features: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
     _impacts: list[Sequences | None] = field(default_factory=list)
@@ -355,7 +355,7 @@ class DeviationStage(Stage):
     """
 
     model: NetworkWithGains
-    groups: SequenceGroups
+    groups: DiskGroups
     settings: TrainingSettings
     processes: Processes = field(default_factory=Processes)
     _errors: list[Errors] = field(default_factory=list)
@@ -401,7 +401,7 @@ def head_of(network: FgerNetwork) -> DeviationHead:
 
 
 @torch.no_grad()
-def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) -> Errors:
+def collect(network: FgerNetwork, groups: DiskGroups, most: int = _WINDOWS) -> Errors:
     """Return states, estimates and errors of at most `most` windows, drawn at random."""
     random = torch.Generator().manual_seed(0)
     share = max(most // len(groups), 1)
@@ -456,14 +456,14 @@ def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
     return torch.from_numpy(out)
 
 
-def tells_across(groups: SequenceGroups) -> bool:
+def tells_across(groups: DiskGroups) -> bool:
     """Return whether the force across the normal is known anywhere in the trials."""
     loaded = (groups.load(index) for index in range(len(groups)))
     return any(bool(torch.isfinite(each.across[each.valid]).any()) for each in loaded)
 
 
 @torch.no_grad()
-def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
+def calibrate_shear(network: FgerNetwork, groups: DiskGroups) -> None:
     """Set floor and shares of the deviations of sideways force and torsion (`ShearHead`).
 
     Args:
@@ -490,12 +490,12 @@ def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
 def train_fger(
     config: FgerConfig,
     settings: TrainingSettings,
-    groups: SequenceGroups,
-    checked: SequenceGroups | None = None,
+    groups: DiskGroups,
+    checked: DiskGroups | None = None,
     *,
     device: str = 'cpu',
     processes: Processes | None = None,
-    make_loop: Callable[..., TrainingLoop] = TrainingLoop,
+    **options: Any,  # noqa: ANN401
 ) -> tuple[FgerNetwork, list[dict[str, Any]]]:
     """Run all stages and return the network, on the CPU in evaluation mode, and the curves.
 
@@ -506,7 +506,7 @@ def train_fger(
         checked: Trials to validate on; None for none.
         device: Device to compute on.
         processes: Processes that share the training; None for this one.
-        make_loop: Makes the loop, with the checkpoint and the report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
@@ -523,12 +523,13 @@ def train_fger(
     model.fit_scales(groups.load(0))
     processes.average_buffers(model)
     model.to(device)
-    loop = make_loop(
+    loop = TrainingLoop(
         model,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
         patience=settings.patience,
         processes=processes,
+        **options,
     )
     stages: list[Stage] = [
         FrameStage(model, groups, settings, processes, checked),

@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from rich.console import Console
 
+from mixtac_learning.judge import report
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import fast_error, moving_mean, peak_error, rolling_errors
-from mixtac_learning.judge.report import by_profile, draw_trials, summarise
+from mixtac_learning.judge.report import by_profile, draw_trials, show_figures, summarise
 
 STEP_S = 0.002
 T = np.arange(2000) * STEP_S
@@ -75,6 +77,24 @@ def test_profiles_are_kept_apart_and_pooled():
     assert 'calibrated_mae' not in summarise([estimate(known, known)])
 
 
+def test_coverage_counts_windows():
+    known, wide = np.zeros(1000), np.ones(1000)
+    each = estimate(known, np.linspace(0, 3, 1000), deviation=wide)
+    figures = summarise([each])
+    assert figures['coverage_68'] == pytest.approx(1 / 3, abs=0.01)
+    assert figures['coverage_95'] == pytest.approx(1.96 / 3, abs=0.01)
+    assert figures['mean_deviation'] == 1.0
+    assert 'coverage_68' not in summarise([each, replace(each, deviation=None)])
+
+
+def test_figures_are_shown_by_profile():
+    text = io.StringIO()
+    rows = {'press': {'mae': 0.1234, 'rmse': 0.2}, 'all': {'mae': 0.3}}
+    show_figures(Console(file=text, width=80), 'trials', rows)
+    assert all(each in text.getvalue() for each in ('press', 'all', '0.123', '0.200', '0.300'))
+    assert 'r2' not in text.getvalue()
+
+
 def test_trials_are_drawn(tmp_path):
     known = np.linspace(0, 1, 600)
     path = tmp_path / 'new' / 'trials.png'
@@ -84,7 +104,7 @@ def test_trials_are_drawn(tmp_path):
 
 def test_rolling_errors_are_drawn_over_the_time_of_the_windows(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(Figure, 'savefig', lambda figure, *_, **__: drawn.append(figure))
+    monkeypatch.setattr(report, 'save_figure', lambda figure, _path: drawn.append(figure))
     known = np.linspace(0, 1, 600)
     slow = replace(estimate(known, known), t_us=np.arange(600, dtype=np.int64) * 4000)
     draw_trials(tmp_path / 'trials.png', 'a title', [slow])

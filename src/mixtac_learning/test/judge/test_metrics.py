@@ -6,8 +6,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from mixtac_learning.judge.metrics import frame_jump, hold_noise, lag_ms, measure
+from mixtac_learning.judge.metrics import (
+    CalibrationError,
+    fit_scale,
+    frame_jump,
+    hold_noise,
+    lag_ms,
+    measure,
+)
 from mixtac_learning.trials.trial import DatasetError
 
 
@@ -66,3 +75,28 @@ def test_lag_is_found_between_samples(late):
     known, estimate = (1.0 + np.sin(2.0 * np.pi * (t_ms - d) / 97.0) for d in (0.0, late))
     assert lag_ms(known, estimate, INTERVAL_S) == pytest.approx(late, abs=0.1)
     assert np.isnan(lag_ms(np.ones(3000), estimate, INTERVAL_S))
+
+
+@given(st.floats(0.3, 3.0), st.integers(0, 100))
+def test_the_scale_is_found_despite_noise_and_a_lost_stretch(scale, seed):
+    random = np.random.default_rng(seed)
+    truth = np.abs(np.sin(np.linspace(0, 9, 2000)))
+    estimate = truth / scale + random.normal(0, 0.01, truth.size)
+    estimate[500:550] *= 3.0
+    assert fit_scale(estimate, truth) == pytest.approx(scale, rel=0.03)
+
+
+def test_the_scale_makes_the_mean_absolute_error_smallest():
+    random = np.random.default_rng(1)
+    truth = random.uniform(0.2, 1.0, 500)
+    estimate = truth * random.uniform(0.5, 1.5, 500)
+    found = fit_scale(estimate, truth)
+    smallest = np.mean(np.abs(found * estimate - truth))
+    for other in (0.97, 1.0 / found, 1.03):
+        assert np.mean(np.abs(other * found * estimate - truth)) >= smallest
+
+
+@pytest.mark.parametrize('force', [0.05, 0.0])
+def test_forces_that_are_too_small_are_refused(force):
+    with pytest.raises(CalibrationError):
+        fit_scale(np.full(500, 1.0), np.full(500, force))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The stages of the paper's networks: what learns, on what, and mirror images."""
+"""The stages of the paper's networks: what learns, and on what."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from mixtac_learning.train.paper_stage import (
     PaperTraining,
     RecurrentStage,
     fit_scales,
-    mirrored,
 )
 from mixtac_learning.train.parallel import Processes
 
@@ -157,26 +156,3 @@ def test_scales_make_features_vary(samples):
         spread = spread[spread > 0.1]
         assert len(spread) > 0.3 * values.shape[1]
         assert ((spread > 0.5) & (spread < 2.0)).sum() > 0.5 * len(spread)
-
-
-def test_a_mirrored_batch_is_that_of_a_mirrored_sensor(samples):
-    batch = assemble(samples, [Segment(0, 0, 200)], config('fusion'))
-    other = mirrored(batch, [-1])
-    assert torch.equal(other.frames[..., 0], batch.frames[..., -1])
-    assert torch.equal(other.event_frames[..., 0], batch.event_frames[..., -1])
-    assert mirrored(batch, []) is batch
-    packets = assemble(samples, [Segment(0, 0, 200)], config('events'))
-    points = mirrored(packets, [-2]).points
-    np.testing.assert_array_equal(points[:, 1], -packets.points[:, 1])
-    np.testing.assert_array_equal(points[:, [0, 2, 3]], packets.points[:, [0, 2, 3]])
-
-
-@pytest.mark.parametrize('axes', [[-1], [-2], [-2, -1]])
-def test_a_mirrored_displacement_is_that_of_a_mirrored_sensor(samples, axes):
-    seen = config('frames', light='reference_flow')
-    segments = [Segment(0, 0, 200)]
-    turned = replace(samples[0], frames=np.flip(samples[0].frames, axes))
-    found = mirrored(assemble(samples[:1], segments, seen), axes).frames
-    wanted = assemble([turned], segments, seen).frames
-    assert wanted[:, 1:].abs().max() > 0.0
-    np.testing.assert_allclose(found, wanted, atol=1e-4)

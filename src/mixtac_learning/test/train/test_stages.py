@@ -7,17 +7,16 @@ from __future__ import annotations
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import pytest
 import torch
+from memory_groups import Groups
 
 from mixtac_learning.network import FgerNetwork
-from mixtac_learning.train.batches import MemoryGroups, Sequences
+from mixtac_learning.train.batches import Sequences
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import encode
-from mixtac_learning.train.loop import TrainingLoop
 from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.stages import estimate, impacts, train_fger
 
@@ -40,8 +39,8 @@ def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, fl
 def test_training_learns_the_toy_sensor(config, toy_sequences):
     trained, other = toy_sequences
     stages: list = []
-    loop = partial(TrainingLoop, report=lambda *row: stages.append(row))
-    network, _ = train_fger(config, SHORT, MemoryGroups(trained), make_loop=loop)
+    report = lambda *row: stages.append(row)  # noqa: E731
+    network, _ = train_fger(config, SHORT, Groups([trained]), report=report)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
         ('frames', 5, 5),
         ('recurrent', 3, 3),
@@ -56,7 +55,7 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
 
 def test_the_same_seed_gives_the_same_weights(config, toy_sequences):
     brief = replace(SHORT, frame_epochs=1, recurrent_epochs=1)
-    groups = MemoryGroups(toy_sequences[1])
+    groups = Groups([toy_sequences[1]])
     runs = [train_fger(config, brief, groups)[0].state_dict() for _ in range(2)]
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
     other = train_fger(config, replace(brief, seed=1), groups)[0].state_dict()
@@ -113,24 +112,10 @@ class Member(Processes):
         self.meeting.swap(self.rank, 'wait', None)
 
 
-@dataclass
-class Groups:
-    """Groups in memory."""
-
-    all: list[Sequences]
-    devices: int
-
-    def __len__(self) -> int:
-        return len(self.all)
-
-    def load(self, index: int) -> Sequences:
-        return self.all[index]
-
-
 def test_processes_with_unequal_data_stay_in_step(config, toy_sequences):
     trained, other = toy_sequences
     brief = replace(SHORT, frame_epochs=1, recurrent_epochs=2, blow_every=2)
-    devices = MemoryGroups(trained).devices
+    devices = Groups([trained]).devices
     assert len(trained.frame_force) != len(other.frame_force)
     blow = torch.zeros_like(trained.force)
     blow[40:60] = 5.0
@@ -142,8 +127,7 @@ def test_processes_with_unequal_data_stay_in_step(config, toy_sequences):
 
     def train(rank: int) -> dict[str, torch.Tensor]:
         member = Member(rank, 2, meeting)
-        loop = partial(TrainingLoop, report=lambda *_: None)
-        found, _ = train_fger(config, brief, data[rank], processes=member, make_loop=loop)
+        found, _ = train_fger(config, brief, data[rank], processes=member)
         return found.state_dict()
 
     with ThreadPoolExecutor(2) as threads:

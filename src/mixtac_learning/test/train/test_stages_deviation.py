@@ -10,12 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from memory_groups import Groups
 
 from mixtac_fger.config import HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION, ModelError
 from mixtac_fger.recurrent_network import deviation, deviation_weights
-from mixtac_learning.judge.report import coverage_figures
 from mixtac_learning.network import DeviationHead, FgerNetwork, arrays_of
-from mixtac_learning.train.batches import MemoryGroups
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import TrainingError, TrainingLoop
 from mixtac_learning.train.stages import (
@@ -121,11 +120,11 @@ def test_deviations_are_bounded_and_never_infinite():
 
 def test_collected_errors_are_those_of_the_batch(network, toy_sequences):
     sequences = toy_sequences[1]
-    found = collect(network, MemoryGroups(sequences))
+    found = collect(network, Groups([sequences]))
     force, _ = estimate(network, sequences)
     errors = (force - sequences.force)[sequences.valid]
     assert found.error.sort().values == pytest.approx(errors.sort().values, abs=1e-6)
-    few = collect(network, MemoryGroups(sequences), most=100)
+    few = collect(network, Groups([sequences]), most=100)
     assert few.error.shape == (100,)
     assert few.hidden.shape == (100, network.config.lstm_size)
 
@@ -139,7 +138,7 @@ def test_deviations_of_the_sideways_force_are_those_of_its_errors(config, toy_se
     value, moved = shear_course(network, toy_sequences[0]).unbind(2)
     spread = (law[0] ** 2 + (law[1] * value) ** 2 + (law[2] * moved) ** 2).sqrt()
     known = replace(toy_sequences[0], across=value + spread * torch.randn(value.shape))
-    calibrate_shear(network, MemoryGroups(known))
+    calibrate_shear(network, Groups([known]))
     floor, share, told = network.shear.deviation.T
     found = (floor**2 + (share * value) ** 2 + (told * moved) ** 2).sqrt()
     kept = known.valid
@@ -152,14 +151,14 @@ def test_the_sideways_force_is_not_trained_where_no_trial_tells_it(config, toy_s
     brief = TrainingSettings(frame_epochs=1, recurrent_epochs=1, joint_epochs=0, deviation_epochs=1)
     trained, other = toy_sequences
     with pytest.raises(TrainingError):
-        train_fger(shear, brief, MemoryGroups(trained))
+        train_fger(shear, brief, Groups([trained]))
     told = replace(
         trained,
         across=0.1 * torch.randn(trained.across.shape),
         frame_across=0.1 * torch.randn(trained.frame_across.shape),
     )
     # Held out trials that do not tell it give it no deviation of zero.
-    network, _ = train_fger(shear, brief, MemoryGroups(told), MemoryGroups(other))
+    network, _ = train_fger(shear, brief, Groups([told]), Groups([other]))
     assert (network.shear.deviation[:, 0] > 0.05).all()
 
 
@@ -167,13 +166,3 @@ def test_a_network_without_the_head_says_so(config):
     bare = FgerNetwork(replace(config, deviation_size=0))
     with pytest.raises(ModelError):
         head_of(bare)
-
-
-def test_coverage_counts_windows():
-    known = np.zeros(1000)
-    each = SimpleNamespace(force=np.linspace(0, 3, 1000), known=known, deviation=np.ones(1000))
-    figures = coverage_figures([each])
-    assert figures['coverage_68'] == pytest.approx(1 / 3, abs=0.01)
-    assert figures['coverage_95'] == pytest.approx(1.96 / 3, abs=0.01)
-    assert figures['mean_deviation'] == 1.0
-    assert coverage_figures([each, SimpleNamespace(deviation=None, force=known, known=known)]) == {}

@@ -16,10 +16,9 @@ pytestmark = pytest.mark.umockdev
 
 PROGRAM = """
 import json, sys
-from mixtac_driver.doctor.usb import check_attached
-from mixtac_driver.doctor.computer import HostFiles
-from mixtac_driver.doctor.stream import check_running
-found = [*check_attached(HostFiles()), *check_running("davis346", 1.0)]
+from mixtac_driver.doctor import check_attached, check_running
+from mixtac_driver.parameters import DriverParameters
+found = [*check_attached(), *check_running(DriverParameters(), 1.0)]
 found = [(f.name, f.level.name, f.found, dict(f.values)) for f in found]
 json.dump(found, open(sys.argv[1], 'w'))
 """
@@ -49,7 +48,7 @@ def test_the_doctor_sees_a_camera_on_the_bus(tmp_path):
     }
     assert found['camera on the USB'][1] == 'V0000346 at 1-1'
     assert found['USB speed'][2] == {'speed [Mb/s]': 5000}
-    assert found['camera firmware'][1] == '0.6'
+    assert found['identity'][2]['firmware'] == '0.6'
     assert found['permission'][:2] == ('OK', '/dev/bus/usb/001/002 may be opened')
     assert found['identity'][2]['serial'] == 'V0000346'
     assert found['inertial samples'][2]['inertial samples [1/s]'] == pytest.approx(1000, rel=0.1)

@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the doctor finds: on made-up system files, on a virtual camera, and in figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from types import SimpleNamespace
+
+import pytest
+from davis_fake import FakeBackend, FakeCamera
+from virtual_scene import Scene
+
+from mixtac_driver import doctor
+from mixtac_driver.camera import Davis346
+from mixtac_driver.doctor import Finding, Level, Measurement, check_measurement, check_running, ok
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.usb.transport import TransportCounters
+from mixtac_events.clock_map import ClockEstimate
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.pyusb_backend import in_process_backend
+from mixtac_sim.usb.registers import Board
+
+VIRTUAL = DriverParameters(device='virtual')
+
+
+def test_what_to_do_first_is_the_first_of_the_worst():
+    warning, error = Finding('b', Level.WARN, 'b'), Finding('c', Level.ERROR, 'c', 'mend c')
+    findings = [ok('a', 'a'), warning, error, Finding('d', Level.ERROR, 'd')]
+    assert doctor.first_to_do(findings) is error
+    assert doctor.first_to_do(findings[:2]) is warning
+    assert doctor.first_to_do(findings[:1]) is None
+    assert doctor.worst([]) is Level.OK
+
+
+@pytest.mark.parametrize(
+    ('governor', 'driver', 'cores', 'level'),
+    [
+        ('performance', 'acpi-cpufreq', 4, Level.OK),
+        ('powersave', 'intel_pstate', 4, Level.OK),
+        ('powersave', 'acpi-cpufreq', 4, Level.WARN),
+        ('performance', 'acpi-cpufreq', 1, Level.WARN),
+    ],
+)
+def test_processor(tmp_path, monkeypatch, governor, driver, cores, level):
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: set(range(cores)))
+    folder = tmp_path / 'sys/devices/system/cpu/cpu0/cpufreq'
+    folder.mkdir(parents=True)
+    (folder / 'scaling_driver').write_text(driver)
+    (folder / 'scaling_governor').write_text(governor)
+    finding = doctor.check_processor(tmp_path)
+    assert finding.level is level
+    assert finding.values == {'cores': cores, 'governor': governor}
+    assert bool(finding.remedy) == (level > Level.OK)
+
+
+@pytest.mark.parametrize(('answer', 'level'), [('yes', Level.OK), ('no', Level.WARN)])
+def test_clock_of_the_computer(monkeypatch, answer, level):
+    run = SimpleNamespace(stdout=f'{answer}\n')
+    monkeypatch.setattr(doctor.subprocess, 'run', lambda *_, **__: run)
+    assert doctor.check_clock().level is level
+
+
+@pytest.mark.parametrize(('free_gb', 'level'), [(50, Level.OK), (9, Level.WARN)])
+def test_disk(tmp_path, monkeypatch, free_gb, level):
+    usage = SimpleNamespace(free=free_gb * 10**9)
+    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage)
+    finding = doctor.check_disk(tmp_path)
+    assert (finding.level, finding.values) == (level, {'free [GB]': free_gb})
+
+
+def plug_in(root, port='2-1', **changes):
+    """Write the files that the kernel shows for a camera."""
+    files = {
+        'idVendor': '152a',
+        'idProduct': '841a',
+        'busnum': '2',
+        'devnum': '5',
+        'speed': '5000',
+        'serial': '00000123',
+        **changes,
+    }
+    folder = root / doctor.DEVICES / port
+    folder.mkdir(parents=True)
+    for name, text in files.items():
+        (folder / name).write_text(f'{text}\n')
+    node = root / f'dev/bus/usb/002/{int(files["devnum"]):03d}'
+    node.parent.mkdir(parents=True, exist_ok=True)
+    node.touch()
+    return root
+
+
+def finding_of(root, name, serial=''):
+    return {each.name: each for each in doctor.check_attached(serial, root)}[name]
+
+
+def test_only_cameras_are_found(tmp_path):
+    plug_in(tmp_path, 'usb1', idVendor='1d6b', idProduct='0003')
+    plug_in(tmp_path, '2-1:1.0', idVendor='')
+    assert list(doctor.cameras_on_bus(plug_in(tmp_path, '2-3'))) == ['2-3']
+
+
+@pytest.mark.parametrize('usb', [False, True])
+def test_no_camera_is_an_error_that_names_the_virtual_device(tmp_path, usb):
+    if usb:
+        (tmp_path / doctor.DEVICES).mkdir(parents=True)
+    (finding,) = doctor.check_attached(root=tmp_path)
+    assert finding.level is Level.ERROR
+    assert '152a:841a' in finding.found
+    assert '--device virtual' in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ('serial', 'level', 'speeds'),
+    [('', Level.ERROR, 2), ('00000124', Level.OK, 1), ('9', Level.ERROR, 0)],
+)
+def test_several_cameras_need_a_serial_number(tmp_path, serial, level, speeds):
+    plug_in(tmp_path, '2-1')
+    plug_in(tmp_path, '2-2', serial='00000124', devnum='6')
+    finding = finding_of(tmp_path, 'camera on the USB', serial)
+    assert (finding.level, '00000124 at 2-2' in finding.found) == (level, True)
+    names = [each.name for each in doctor.check_attached(serial, tmp_path)]
+    assert names.count('USB speed') == speeds
+
+
+@pytest.mark.parametrize(
+    ('speed', 'level'),
+    [('20000', Level.OK), ('5000', Level.OK), ('480', Level.WARN), ('1.5', Level.ERROR)],
+)
+def test_speed(tmp_path, speed, level):
+    finding = finding_of(plug_in(tmp_path, speed=speed), 'USB speed')
+    assert finding.level is level
+    assert ('USB 3 port' in finding.remedy) == (level > Level.OK)
+
+
+def test_permission(tmp_path, monkeypatch):
+    root = plug_in(tmp_path)
+    assert finding_of(root, 'permission').level is Level.OK
+    monkeypatch.setattr(os, 'access', lambda *_: False)  # root may open everything
+    assert f'sudo cp {doctor.RULE_FILE} /etc' in finding_of(root, 'permission').remedy
+    (root / 'etc/udev/rules.d').mkdir(parents=True)
+    (root / 'etc/udev/rules.d/65-mixtac.rules').touch()
+    assert 'usermod -aG plugdev' in finding_of(root, 'permission').remedy
+    (root / 'dev/bus/usb/002/005').unlink()
+    finding = finding_of(root, 'permission')
+    assert (finding.level, '--device=/dev/bus/usb' in finding.remedy) == (Level.ERROR, True)
+
+
+def test_the_rule_that_is_named_exists_and_matches_the_camera():
+    text = doctor.RULE_FILE.read_text()
+    assert 'ATTRS{idVendor}=="152a"' in text
+    assert 'ATTRS{idProduct}=="84[0-1]?"' in text
+
+
+CLOCK = ClockEstimate(
+    offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, pairs=2000, steps=0
+)
+GOOD = Measurement(
+    seconds=2.0,
+    elapsed_s=2.0,
+    events=100_000,
+    frames=50,
+    samples=2000,
+    size=20_000_000,
+    transport=TransportCounters(transfers=2000, size=20_000_000),
+    clock=CLOCK,
+)
+
+
+@pytest.fixture(scope='module')
+def identity():
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        return camera.identity
+
+
+def test_a_good_camera_has_nothing_to_mend(identity):
+    findings = check_measurement(GOOD, DriverParameters(), identity)
+    assert [f.level for f in findings] == [Level.OK] * 7
+    assert not any(f.remedy for f in findings)
+
+
+@pytest.mark.parametrize(
+    ('name', 'changes', 'level'),
+    [
+        ('events', {'events': 0}, Level.WARN),
+        ('frames', {'frames': 0}, Level.ERROR),
+        ('frames', {'frames': 40}, Level.WARN),
+        ('frames', {'frames': 45}, Level.OK),
+        ('inertial samples', {'samples': 0}, Level.ERROR),
+        ('inertial samples', {'samples': 1500}, Level.WARN),
+        ('losses', {'transport': TransportCounters(stalls=1)}, Level.WARN),
+        ('losses', {'losses': {'frames_dropped': 2}}, Level.WARN),
+        ('losses', {'transport': TransportCounters(dropped_transfers=3)}, Level.WARN),
+        ('losses', {'elapsed_s': 3.0}, Level.WARN),
+        ('camera clock', {'clock': None}, Level.WARN),
+        ('camera clock', {'clock_resets': 1}, Level.WARN),
+        ('camera clock', {'clock': dataclasses.replace(CLOCK, skew_ppm=-150.0)}, Level.WARN),
+        ('camera clock', {'clock': dataclasses.replace(CLOCK, residual_us=2000.0)}, Level.WARN),
+        ('camera clock', {'clock': dataclasses.replace(CLOCK, span_s=2.0)}, Level.OK),
+        ('losses', {'elapsed_s': 0.0, 'seconds': 0.0}, Level.OK),
+    ],
+)
+def test_figures_are_judged(identity, name, changes, level):
+    result = dataclasses.replace(GOOD, **changes)
+    findings = check_measurement(result, DriverParameters(), identity)
+    finding = {each.name: each for each in findings}[name]
+    assert finding.level is level
+    assert bool(finding.remedy) == (level > Level.OK)
+
+
+@pytest.fixture
+def scene():
+    scene = Scene()
+    yield scene
+    scene.close()
+
+
+def test_a_running_camera_is_measured(scene):
+    backend = in_process_backend(scene.device)
+    found = {f.name: f for f in check_running(VIRTUAL, 0.6, backend=backend)}
+    assert found['identity'].values['serial'] == 'V0000042'
+    assert found['identity'].values['chip'] == 'DAVIS346B'
+    # The scene has 20,000 events, 25 frames and 200 inertial samples per second.
+    assert found['events'].values['events [1/s]'] == pytest.approx(20_000, rel=0.3)
+    assert found['frames'].values['frames [1/s]'] == pytest.approx(25, abs=5)
+    samples = found['inertial samples']
+    assert samples.level is Level.WARN
+    assert samples.values['inertial samples [1/s]'] == pytest.approx(200, rel=0.1)
+    assert found['losses'].values['usb [MB/s]'] > 0
+    assert found['losses'].values['transfers_dropped'] == 0
+    # It was given back: another may have it at once.
+    assert next(check_running(VIRTUAL, 0.1, backend=backend)).name == 'identity'
+
+
+def test_a_camera_that_cannot_be_opened_or_is_unplugged_is_an_error(scene):
+    other = VirtualDavis346('V0000001', board=Board(deviation=0))
+    (finding,) = check_running(VIRTUAL, 0.1, backend=in_process_backend(other))
+    assert (finding.name, finding.level) == ('opening the camera', Level.ERROR)
+    findings = check_running(VIRTUAL, 30.0, backend=in_process_backend(scene.device))
+    assert next(findings).name == 'identity'
+    scene.device.unplug()
+    (finding,) = findings
+    assert (finding.name, finding.level) == ('data stream', Level.ERROR)

@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's force experiments: long holds, inputs, fusion, impacts (sections IV-B to IV-E)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_learning.experiments.harness import Context, experiment
+from mixtac_learning.experiments.report import Outcome, Row, Value, mark
+from mixtac_learning.experiments.sizes import (
+    DYNAMIC,
+    EVENTS,
+    FGER,
+    FRAMES,
+    FUSION,
+    HOLD,
+    IMPACT,
+    STATIC,
+)
+from mixtac_learning.experiments.training import (
+    MODELS,
+    Estimates,
+    error_rows,
+    force_outcome,
+    pooled,
+    rate_hz,
+)
+from mixtac_learning.judge.estimators import TrialEstimate
+from mixtac_learning.judge.metrics import ROLLING_S, moving_mean, peak_error
+from mixtac_learning.judge.report import PAPER, TRUTH, new_axes, plot_forces, save_figure
+from mixtac_learning.train.config import OURS
+
+STABILITY_PAPER = (0.08, 0.07, 0.07, 0.07, 0.06)
+"""Medians per bin [N]."""
+BIN_S = 5.0
+STABILITY_PLACE = 'section IV-B, Fig. 4'
+STABILITY_CONDITIONS = (
+    'rolling MAE in a sliding window of 0.5 s, median of all trials of a seed in 5 s'
+)
+Bins = list['NDArray[np.float64]']
+
+
+@experiment
+def stability(context: Context) -> Outcome:
+    """Long holds: whether the error grows within 25 s."""
+    return force_outcome(
+        context,
+        HOLD,
+        'stability',
+        rows=_stability_rows,
+        draw=_draw_stability,
+        conditions='whole trials',
+    )
+
+
+def rolling_bins(estimate: TrialEstimate) -> Bins:
+    """Return the rolling error of a trial [N], in spans of 5 s from its start."""
+    interval = estimate.interval_s
+    width = max(round(ROLLING_S / interval), 1)
+    error = moving_mean(np.abs(estimate.force - estimate.known), width)
+    which = ((estimate.t_us - estimate.t_us[0]) * 1e-6 // BIN_S).astype(np.int64)
+    last = max(int(which[-1]), 0)
+    # A remainder of less than half a span belongs to the previous span.
+    if last and np.count_nonzero(which == last) * interval < 0.5 * BIN_S:
+        which[which == last] = last - 1
+        last -= 1
+    return [error[which == k] for k in range(last + 1)]
+
+
+def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
+    cut = [rolling_bins(each) for each in trials]
+    return [
+        np.concatenate([bins[k] for bins in cut if k < len(bins)])
+        for k in range(max(len(bins) for bins in cut))
+    ]
+
+
+def _stability_rows(found: Estimates, *, simulated: bool) -> list[Row]:
+    rows = []
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        bins = [_pooled_bins(trials) for trials in by_seed.values()]
+        for k in range(max(len(each) for each in bins)):
+            paper = STABILITY_PAPER[k] if k < len(STABILITY_PAPER) else None
+            span = f'{BIN_S * k:g} to {BIN_S * (k + 1):g} s'
+            medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
+            title = f'{name}: median rolling MAE, {span}'
+            place = STABILITY_PLACE if paper is not None else ''
+            rows.append(Row(title, medians, paper, place, 'N', STABILITY_CONDITIONS, simulated))
+        rows += error_rows(name, by_seed, {}, '', 'whole trials', simulated=simulated)[:1]
+    return rows
+
+
+def _draw_stability(path: Path, found: Estimates, *, simulated: bool) -> Path:
+    figure, axes = new_axes(columns=len(found), width=9.0, height=3.6)
+    top = 0.0
+    for ax, (model, by_seed) in zip(axes, found.items(), strict=True):
+        colour = MODELS[model].colour
+        bins = _pooled_bins([each for trials in by_seed.values() for each in trials])
+        centres = [BIN_S * (k + 0.5) for k in range(len(bins))]
+        thin = [values[:: max(len(values) // 3000, 1)] for values in bins]
+        parts = ax.violinplot(thin, centres, widths=0.8 * BIN_S, showextrema=False)
+        bodies: Any = parts['bodies']
+        for body in bodies:
+            body.set(facecolor=colour, alpha=0.5)
+        medians = [float(np.median(values)) for values in bins]
+        ax.hlines(medians, np.array(centres) - 1.2, np.array(centres) + 1.2, colour, lw=2)
+        ax.plot(
+            centres[: len(STABILITY_PAPER)],
+            STABILITY_PAPER[: len(centres)],
+            'D',
+            color=PAPER,
+            ms=5,
+            label="paper's medians",
+        )
+        top = max(top, *(float(np.quantile(values, 0.99)) for values in bins), 0.1)
+        ax.set(title=f'{MODELS[model].label}, {mark(simulated)}', xlabel='time since the start [s]')
+        ax.legend(loc='upper right', frameon=False, fontsize=8)
+    for ax in axes:
+        ax.set_ylim(0.0, 1.1 * top)
+    axes[0].set_ylabel('rolling MAE [N]')
+    return save_figure(figure, path)
+
+
+INPUTS_PAPER = {
+    FRAMES: {'mae': 0.06, 'rmse': 0.08},
+    EVENTS: {'mae': 0.12, 'rmse': 0.14},
+    FGER: {'mae': 0.04, 'rmse': 0.05},
+    OURS: {'mae': 0.04, 'rmse': 0.05},
+}
+"""Errors [N]; our network is compared with the paper's."""
+INPUTS_PAPER_HZ = {FRAMES: 25.0, EVENTS: 500.0, FGER: 500.0, OURS: 500.0}
+INPUTS_PLACE = 'section IV-C, table II'
+INPUTS_CONDITIONS = 'dynamic trials'
+SHOWN_S = 5.0
+"""Length of the part shown in the figure [s]."""
+
+
+@experiment
+def inputs(context: Context) -> Outcome:
+    """Frames, events, or both, on dynamic forces."""
+    return force_outcome(
+        context,
+        DYNAMIC,
+        'inputs',
+        rows=_inputs_rows,
+        draw=_draw_inputs,
+        conditions=INPUTS_CONDITIONS,
+    )
+
+
+def _inputs_rows(found: Estimates, *, simulated: bool) -> list[Row]:
+    rows: list[Row] = []
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        paper = INPUTS_PAPER[model]
+        rows += error_rows(
+            name, by_seed, paper, INPUTS_PLACE, INPUTS_CONDITIONS, simulated=simulated
+        )
+        rate = Value.of(rate_hz(trials) for trials in by_seed.values())
+        text = 'distinct forces per second'
+        rows.append(
+            Row(f'{name}: rate', rate, INPUTS_PAPER_HZ[model], INPUTS_PLACE, 'Hz', text, simulated)
+        )
+    return rows
+
+
+def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
+    figure, axes = new_axes(rows=2, width=9.0, height=6.0)
+    first = found[OURS][0][0]
+    start = first.t_us[0] + 0.3 * (first.t_us[-1] - first.t_us[0])
+    length = min(SHOWN_S, 1e-6 * float(first.t_us[-1] - start))
+    for ax, models in zip(axes, ((FRAMES, EVENTS), (FGER, OURS)), strict=True):
+        curves = {MODELS[model]: found[model][0][0] for model in models}
+        plot_forces(ax, first, curves, start, (0.0, length), simulated=simulated)
+        ax.set(ylabel='normal force [N]')
+        ax.legend(loc='upper right', ncols=3, frameon=False, fontsize=8)
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.22 * (high - low))
+    axes[0].set_title(f'{first.name}, {mark(simulated)}', loc='left', fontsize=10)
+    axes[-1].set_xlabel('time [s]')
+    return save_figure(figure, path)
+
+
+_FGER_PAPER = {'mae': 0.04, 'rmse': 0.05, 'r2': 0.83}
+FUSION_PAPER = {
+    OURS: _FGER_PAPER,
+    FGER: _FGER_PAPER,
+    FUSION: {'mae': 0.10, 'rmse': 0.11, 'r2': 0.10},
+}
+"""Errors [N] and R2; our network is compared with the paper's."""
+FUSION_PLACE = 'section IV-D, Fig. 6'
+
+
+@experiment
+def fusion(context: Context) -> Outcome:
+    """FGER-Net against feature-level fusion, on static forces."""
+    return force_outcome(
+        context, STATIC, 'fusion', rows=_fusion_rows, draw=_draw_fusion, conditions='static trials'
+    )
+
+
+def _fusion_rows(found: Estimates, *, simulated: bool) -> list[Row]:
+    return [
+        row
+        for model, by_seed in found.items()
+        for row in error_rows(
+            MODELS[model].label,
+            by_seed,
+            FUSION_PAPER[model],
+            FUSION_PLACE,
+            'static trials',
+            simulated=simulated,
+        )
+    ]
+
+
+def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
+    figure, axes = new_axes(columns=3, width=9.0, height=3.6)
+    for ax, (key, title) in zip(
+        axes, (('mae', 'MAE [N]'), ('rmse', 'RMSE [N]'), ('r2', 'R2')), strict=True
+    ):
+        for k, (model, by_seed) in enumerate(found.items()):
+            values = [getattr(pooled(trials), key) for trials in by_seed.values()]
+            ax.bar(k, np.mean(values), color=MODELS[model].colour, alpha=0.75, width=0.65)
+            ax.plot([k] * len(values), values, 'o', color=TRUTH, ms=3)
+            label = 'paper' if k == 0 else None
+            ax.plot(k + 0.2, FUSION_PAPER[model][key], 'D', color=PAPER, ms=6, label=label)
+        ax.axhline(0.0, color=TRUTH, lw=0.6)
+        ax.set_xticks(range(len(found)), [MODELS[model].short for model in found], fontsize=8)
+        ax.set_title(f'{title}, {mark(simulated)}', fontsize=10)
+        ax.grid(visible=False, axis='x')
+    axes[0].legend(frameon=False, fontsize=8)
+    return save_figure(figure, path)
+
+
+IMPACT_PAPER = {'mae': 0.05, 'rmse': 0.07}
+"""Errors [N]."""
+IMPACT_PLACE = 'section IV-E, Fig. 7'
+CLOSE_S = (-0.02, 0.3)
+"""Span of the close-up around the first impact [s]."""
+WHOLE_S = (-0.3, 1.5)
+
+
+@experiment
+def impact(context: Context) -> Outcome:
+    """20 g from 5 cm: impact, bounces and hold."""
+    return force_outcome(
+        context, IMPACT, 'impact', rows=_impact_rows, draw=_draw_impact, conditions='whole trials'
+    )
+
+
+def _impact_rows(found: Estimates, *, simulated: bool) -> list[Row]:
+    rows: list[Row] = []
+    text = 'largest force, estimate within 10 ms of it; share of it'
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        rows += error_rows(
+            name, by_seed, IMPACT_PAPER, IMPACT_PLACE, 'whole trials', simulated=simulated
+        )
+        peaks = Value.of(
+            float(np.mean([peak_error(e.known, e.force, e.interval_s) for e in trials]))
+            for trials in by_seed.values()
+        )
+        rows.append(Row(f'{name}: error of the peak', peaks, None, '', '', text, simulated))
+    return rows
+
+
+def _draw_impact(path: Path, found: Estimates, *, simulated: bool) -> Path:
+    figure, axes = new_axes(columns=2, width=10.0, height=3.8)
+    first = found[OURS][0][0]
+    # The synchronising taps reach 2 N at most; the impact is the largest force.
+    onset = first.t_us[int(np.argmax(first.known))]
+    curves = {MODELS[model]: by_seed[0][0] for model, by_seed in found.items()}
+    for ax, span in zip(axes, (WHOLE_S, CLOSE_S), strict=True):
+        plot_forces(ax, first, curves, onset, span, simulated=simulated)
+        ax.set(xlabel='time from the peak [s]')
+    axes[0].set(ylabel='normal force [N]', title=f'{first.name}, {mark(simulated)}')
+    axes[0].title.set_fontsize(9)
+    axes[1].legend(frameon=False, fontsize=8)
+    return save_figure(figure, path)

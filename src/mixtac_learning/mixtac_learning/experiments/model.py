@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Size and speed of the networks (paper, section III-B), and the table of sensors (table III)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from mixtac_fger.estimator import open_estimator
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+from mixtac_learning.experiments.harness import Context, experiment
+from mixtac_learning.experiments.report import Outcome, Row, Value, mark, number, texts
+from mixtac_learning.experiments.sizes import DYNAMIC, FGER, PRESET
+from mixtac_learning.experiments.training import (
+    MODELS,
+    Estimates,
+    deviations,
+    estimates,
+    pooled,
+    rate_hz,
+    trial_sets,
+)
+from mixtac_learning.judge.estimators import TrialEstimate, windows_of
+from mixtac_learning.network import count_parameters
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import PaperNetwork, build, one_cycle, operations_per_cycle
+from mixtac_learning.train.config import OURS
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_sim.world.training_trials import TrialSpec
+
+PARAMETERS = 0.517e6
+"""Parameters of the paper's network."""
+FLOPS = 2.0e9
+"""Operations of the paper's network per frame interval."""
+LATENCY_MS = 0.87
+"""Latency of the paper's network on an RTX 4090 [ms]."""
+SIZE_PLACE = 'section III-B'
+REPETITIONS = 10
+"""Timed calls of the paper's network."""
+DEVICE_SEED = 910_000
+"""Seed of the sensor on whose trial the window step is timed."""
+TRIAL_SEED = 911_000
+"""Seed of that trial."""
+
+
+@experiment
+def model(context: Context) -> Outcome:
+    """Parameters, operations and latency of the networks."""
+    bar = context.progress.add_task('size and latency', total=2)
+    rows = paper_rows()
+    context.progress.advance(bar)
+    rows += our_rows(context.sizes.latency_seconds)
+    context.progress.advance(bar)
+    return Outcome(
+        data=f'shipped small model; random weights of the paper network at 346 x 260; virtual'
+        f' sensor, preset {PRESET}, in real time for the window step',
+        rows=rows,
+        **texts('model'),
+    )
+
+
+def _row(name: str, value: Value, unit: str, text: str, paper: float | None = None) -> Row:
+    place = '' if paper is None else SIZE_PLACE
+    return Row(name, value, paper, place, unit, text, simulated=False)
+
+
+def paper_rows() -> list[Row]:
+    """Return size and speed of the paper's network."""
+    config = PaperConfig()
+    network = build(config)
+    name, text = MODELS[FGER].label, 'native resolution, 512 events per packet'
+    thread = f'{text}; PyTorch on this CPU, one thread'
+    operations = _one(operations_per_cycle(config))
+    batch = one_cycle(config)
+    points = torch.rand(config.events_per_packet, 4)
+    packet = torch.zeros(config.events_per_packet, dtype=torch.int64)
+    state = network.initial_state(1)
+    recurrence: Any = network.recurrence
+    cycle_ms = _timed(lambda: network(batch, network.initial_state(1)), network)
+    packet_ms = _timed(
+        lambda: recurrence.step(recurrence.encoder(points, packet, 1), state), network
+    )
+    flops = f'{text}; 2 per multiply-add'
+    interval = f'{text}; frame and 20 packets, PyTorch on this CPU, one thread'
+    return [
+        _row(f'{name}: parameters', _one(count_parameters(network)), '', 'counted', PARAMETERS),
+        _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
+        _row(f'{name}: one frame interval', cycle_ms, 'ms', interval),
+        _row(f'{name}: one packet', packet_ms, 'ms', f'{thread}; paper: RTX 4090', LATENCY_MS),
+    ]
+
+
+def our_rows(seconds: float) -> list[Row]:
+    """Return size and speed of the shipped model, timed on a trial of a length [s]."""
+    found = open_estimator(read_model(find_model(DEFAULT_MODEL)))
+    name = MODELS[OURS].label
+    window_ms, frame_ms = step_times_ms(seconds)
+    rows = [
+        _row(f'{name}: parameters', _one(found.parameters), '', 'counted', PARAMETERS),
+        _row(
+            f'{name}: operations per frame interval',
+            _one(found.operations),
+            'FLOP',
+            '2 per multiply-add',
+            FLOPS,
+        ),
+    ]
+    for step, times, paper in (('window', window_ms, LATENCY_MS), ('frame', frame_ms, None)):
+        text = f'this CPU, one thread, {len(times)} {step}s'
+        place = '' if paper is None else SIZE_PLACE
+        p50, p99 = np.quantile(times, (0.5, 0.99)).tolist()
+        title = f'{name}: {step} step'
+        rows += [
+            Row(title, _one(p50), paper, place, 'ms', f'median; {text}'),
+            Row(f'{title}, 99th percentile', _one(p99), None, '', 'ms', text),
+        ]
+    return rows
+
+
+def _one(value: float) -> Value:
+    return Value(float(value), 0.0, 1, 'count')
+
+
+def step_times_ms(seconds: float) -> tuple[list[float], list[float]]:
+    """Return the times of window steps, in real time, and of frame steps of the shipped model [ms].
+
+    Frame steps run beside the window steps, as in the node, and are timed alone.
+
+    Args:
+        seconds: Length of the simulated trial [s].
+    """
+    content = read_model(find_model(DEFAULT_MODEL))
+    warm_up(open_estimator(content))
+    trial = SimulatedSource(TrialSpec(DEVICE_SEED, TRIAL_SEED, DYNAMIC, seconds, PRESET)).load()
+    paced = ForceEstimator(open_estimator(content), background_frames=True)
+    alone = ForceEstimator(open_estimator(content))
+    window_ms, frame_ms = [], []
+    windows = list(windows_of(trial, paced.window_us))
+    start_s = time.perf_counter() - 1e-6 * windows[0].end_us
+    for window in windows:
+        for image, middle_us in window.frames:
+            paced.push_frame(image, middle_us)
+        time.sleep(max(start_s + 1e-6 * window.end_us - time.perf_counter(), 0.0))
+        called_s = time.perf_counter()
+        if paced.push_events(window.events, window.end_us):
+            window_ms.append(1e3 * (time.perf_counter() - called_s))
+    paced.close()
+    for image, middle_us in (frame for window in windows for frame in window.frames):
+        called_s = time.perf_counter()
+        alone.push_frame(image, middle_us)
+        frame_ms.append(1e3 * (time.perf_counter() - called_s))
+    return window_ms, frame_ms[0 if alone.reference is None else alone.reference.frames :]
+
+
+def _timed(call: Callable[[], object], network: PaperNetwork) -> Value:
+    """Return the duration of a call in evaluation mode on one thread [ms]."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    network.eval()
+    durations = []
+    try:
+        with torch.no_grad():
+            call()
+            for _ in range(REPETITIONS):
+                start = time.perf_counter()
+                call()
+                durations.append(1e3 * (time.perf_counter() - start))
+    finally:
+        torch.set_num_threads(threads)
+    return Value.of(durations, 'repetitions')
+
+
+OTHERS = (
+    ('Insight', 'frames', 40.0, 0.03, 2.0),
+    ('ViTacTip', 'frames', 30.0, 0.04, 1.0),
+    ('E-BTS', 'events', 500.0, 0.49, 8.0),
+    ('GelEvent', 'events', 180.0, 0.80, 16.0),
+)
+"""Sensor, input, rate [Hz], error [N], range [N], as the paper cites them."""
+MIXTAC = (500.0, 0.04, 1.0)
+"""Rate [Hz], error [N] and range [N] of the paper's sensor."""
+TABLE_PLACE = 'section V-B, table III'
+
+
+@experiment
+def comparison(context: Context) -> Outcome:
+    """Rate, error and range beside other sensors."""
+    sets = trial_sets(context)
+    found = estimates(context, DYNAMIC)
+    rows = []
+    for model in (OURS, FGER):
+        values = _figures(found[model])
+        for (title, value, unit), paper in zip(values, MIXTAC, strict=True):
+            name = f'Mixtac, frames and events, {MODELS[model].label}: {title}'
+            rows.append(
+                Row(name, value, paper, TABLE_PLACE, unit, 'dynamic trials', sets.simulated)
+            )
+    for sensor, kind, *numbers in OTHERS:
+        for (title, _, unit), paper in zip(values, numbers, strict=True):
+            name, text = f'{sensor}, {kind}: {title}', 'cited by the paper'
+            rows.append(Row(name, Value.of([]), paper, TABLE_PLACE, unit, text, simulated=False))
+    fields = texts('comparison')
+    ours = (
+        'Our row is of a simulated sensor; the others are of real ones.'
+        if sets.simulated
+        else 'Our row is of the given recordings.'
+    )
+    fields['deviations'] = (*deviations(context.sizes), ours, *fields['deviations'])
+    table = sensor_table(found, simulated=sets.simulated)
+    return Outcome(data=sets.describe(DYNAMIC), rows=rows, table=table, **fields)
+
+
+def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value, str], ...]:
+    """Return rate, error and largest force with their units."""
+    metrics = [pooled(trials) for trials in by_seed.values()]
+    return (
+        ('rate', Value.of(rate_hz(trials) for trials in by_seed.values()), 'Hz'),
+        ('MAE of the normal force', Value.of(each.mae for each in metrics), 'N'),
+        ('largest force tested', Value.of(each.peak_truth for each in metrics), 'N'),
+    )
+
+
+def sensor_table(found: Estimates, *, simulated: bool) -> tuple[tuple[str, ...], ...]:
+    """Return the paper's table with our rows."""
+    lines: list[tuple[str, ...]] = [
+        ('sensor', 'input', 'rate [Hz]', 'normal force error [N]', 'range [N]')
+    ]
+    lines += [(name, kind, *map(number, values)) for name, kind, *values in OTHERS]
+    lines.append(('Mixtac (paper)', 'frames and events', *map(number, MIXTAC)))
+    for model in (OURS, FGER):
+        name = f'{MODELS[model].label}, {mark(simulated)}'
+        values = [str(value) for _, value, _ in _figures(found[model])]
+        lines.append((name, 'frames and events', *values))
+    return tuple(lines)

@@ -1,0 +1,292 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Vibrations in the events (paper, section IV-A).
+
+Three signals are examined in bins of equal length: the number of events, ON minus OFF events, and
+flow, which is the polarity times the gradient of the logarithm of an earlier frame. Flow is
+summed in square cells, and the first principal component of these sums is taken, so the position
+of the contact need not be known.
+
+Two kinds of contact are compared. `pressed`: the vibrating body stays 0.6 mm deep in the skin; it
+causes as many events on the way in as on the way out, so the event count repeats twice per
+period. `tapping`: the body touches the skin for about a third of each period, which gives one
+burst per period. A body that rests on the skin by its own weight leaves it as soon as its
+acceleration exceeds g: at 50 Hz from an amplitude of 0.1 mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_events.arrays import Events
+from mixtac_learning.experiments.harness import Context, experiment
+from mixtac_learning.experiments.report import Outcome, Row, Value, mark, texts
+from mixtac_learning.experiments.sizes import PRESET
+from mixtac_learning.experiments.store import Piece
+from mixtac_learning.judge.report import new_axes, save_figure
+from mixtac_sim import SimulationError
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.segments import Profile, Segment, Tone
+from mixtac_sim.world.sensor import TactileSensor
+
+PRESSED, TAPPING = 'pressed', 'tapping'
+DEPTH_MM = 0.6
+"""Mean depth of the vibrating body in a pressed contact [mm]."""
+SIZES_MM = {PRESSED: (0.05, 0.1, 0.2), TAPPING: (0.8, 1.0)}
+"""Pressed: amplitudes, zero to peak; tapping: indentation depths [mm]."""
+HOVER = 0.5
+"""Tapping: height of the centre of the motion above the skin, in amplitudes; the rest is depth."""
+REST_S = (0.35, 0.55)
+"""Time in which the contact is still [s]."""
+SETTLED_S = 0.56
+SHAKEN_S = (0.65, 1.65)
+"""Time in which the vibration is examined [s]: it has faded in, and the gel has settled."""
+LOWEST_HZ = 30.0
+"""Lower frequencies belong to the relaxation of the gel [Hz]."""
+CELL_PX = 32
+"""Side of a cell in which flow is summed [px]."""
+COUNT, POLARITY, FLOW = 'count', 'polarity', 'flow'
+"""Number of events; ON minus OFF; polarity times the gradient of a frame."""
+BINS_US = {COUNT: 2000, POLARITY: 2000, FLOW: 1000}
+"""Length of a bin [us]: that of the paper, and half of it where twice the tone has to fit."""
+_FINER = 8
+"""Zero padding: peaks are located to an eighth of the resolution."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shaken:
+    """Camera data of a vibration.
+
+    Attributes:
+        events: Sorted events; camera clock [us].
+        frame: Image from before the vibration, [260, 346] [DN].
+        span_s: Time in which the vibration is examined [s].
+    """
+
+    events: Events
+    frame: NDArray[np.uint16]
+    span_s: tuple[float, float]
+
+
+def shake(kind: str, tone_hz: float, size_mm: float, seed: int) -> Shaken:
+    """Return a vibration of the simulated sensor.
+
+    Args:
+        kind: `PRESSED` or `TAPPING`.
+        tone_hz: Frequency [Hz].
+        size_mm: Amplitude, or depth of the indentation; see `SIZES_MM` [mm].
+        seed: Seed of the sensor and of the day.
+
+    Raises:
+        SimulationError: The body would leave the skin of a pressed contact.
+    """
+    middle, amplitude = DEPTH_MM, size_mm
+    if kind == TAPPING:
+        amplitude = size_mm / (1.0 - HOVER)
+        middle = -HOVER * amplitude
+    elif amplitude >= DEPTH_MM:
+        raise SimulationError(
+            f'an amplitude of {amplitude} mm at a depth of {DEPTH_MM} mm loses contact',
+            remedy='choose a smaller amplitude',
+        )
+    tone = Tone(amplitude, tone_hz, 0.0, 0.05)
+    end = SHAKEN_S[1]
+    segments = (
+        Segment(0.0, 0.2, Mode.POSITION, (0.0, 0.2), (min(-0.1, middle), middle)),
+        Segment(0.2, SETTLED_S, Mode.POSITION, (0.0,), (middle,)),
+        Segment(SETTLED_S, end + 0.1, Mode.POSITION, (0.0,), (middle,), (tone,)),
+    )
+    profile = Profile('vibration', end, segments)
+    sensor = TactileSensor(seed, seed, profile, preset=preset(PRESET))
+    output = sensor.advance(_us(end))
+    still = [f.intensity for f in output.frames if f.frame_end_us < _us(SETTLED_S)]
+    return Shaken(output.events, still[-1], SHAKEN_S)
+
+
+def _us(seconds: float) -> int:
+    return round(1e6 * seconds)
+
+
+def binned(shaken: Shaken, bin_us: int) -> dict[str, NDArray[np.float64]]:
+    """Return count, ON minus OFF, and flow of the events in each bin of a vibration.
+
+    Args:
+        shaken: The vibration.
+        bin_us: Length of a bin [us]; a rest shorter than a bin does not count.
+    """
+    start_us, end_us = _us(shaken.span_s[0]), _us(shaken.span_s[1])
+    rows, columns = shaken.frame.shape
+    wide = -(-columns // CELL_PX)
+    cells, bins = wide * -(-rows // CELL_PX), (end_us - start_us) // bin_us
+    inside = shaken.events.between(start_us, start_us + bins * bin_us)
+    x, y = inside.x.astype(np.int64), inside.y.astype(np.int64)
+    place = (inside.t - start_us) // bin_us * cells + y // CELL_PX * wide + x // CELL_PX
+    slope_y, slope_x = np.gradient(np.log(np.maximum(shaken.frame.astype(np.float64), 1.0)))
+    sign = np.where(inside.polarity, 1.0, -1.0)
+    weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
+    sums = [np.bincount(place, weight, bins * cells) for weight in weights]
+    across, down, on, off = np.reshape(sums, (4, bins, cells))
+    # An edge that moves along its gradient darkens the pixel: the sign does not matter here.
+    table = np.concatenate([across, down], axis=1)
+    left, strength, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
+    return {
+        COUNT: (on + off).sum(axis=1),
+        POLARITY: (on - off).sum(axis=1),
+        FLOW: left[:, 0] * strength[0],
+    }
+
+
+def spectra(shaken: Shaken) -> dict[str, Any]:
+    """Return, per signal, `dominant_hz` and `spectrum`, one value per Hz, largest is 1."""
+    signals = {bin_us: binned(shaken, bin_us) for bin_us in set(BINS_US.values())}
+    return {name: spectrum_of(signals[bin_us][name], bin_us) for name, bin_us in BINS_US.items()}
+
+
+def spectrum_of(signal: NDArray[np.float64], bin_us: int) -> dict[str, Any]:
+    """Return the dominant frequency of a signal and its spectrum from 0 Hz in steps of 1 Hz.
+
+    Args:
+        signal: One value per bin.
+        bin_us: Length of a bin [us].
+    """
+    windowed = (signal - signal.mean()) * np.hanning(len(signal))
+    strength = np.abs(np.fft.rfft(windowed, _FINER * len(signal)))
+    hz = np.fft.rfftfreq(_FINER * len(signal), 1e-6 * bin_us)
+    strength[hz < LOWEST_HZ] = 0.0
+    dominant = float(hz[int(np.argmax(strength))])
+    top = max(float(strength.max()), 1e-12)
+    whole = np.arange(int(hz[-1]) + 1)
+    nearest = np.searchsorted(hz, whole - 0.5), np.searchsorted(hz, whole + 0.5)
+    values = [float(strength[a:b].max(initial=0.0)) / top for a, b in zip(*nearest, strict=True)]
+    return {'dominant_hz': dominant, 'spectrum': [round(value, 3) for value in values]}
+
+
+TOLERANCE_HZ = 1.0
+FIRST_SEED = 7300
+"""Seeds of sensors on which nothing was tuned."""
+_PLACE = 'section IV-A, Fig. 3'
+SIGNALS = {
+    COUNT: 'number of events, 2 ms bins',
+    POLARITY: 'ON minus OFF, 2 ms bins',
+    FLOW: 'flow, 1 ms bins',
+}
+Found = tuple[float, dict[str, Any]]
+"""Tone [Hz] and its spectra."""
+
+
+@experiment
+def vibration(context: Context) -> Outcome:
+    """Tones of 50 to 450 Hz: which frequency the events show."""
+    if context.bags is not None:
+        reason = 'vibrations are simulated: run it without --bags'
+        return Outcome(**texts('vibration') | {'deviations': ()}, data='none', skipped=reason)
+    sizes = context.sizes
+    cases = [
+        (kind, tone, size, FIRST_SEED + seed)
+        for kind, both in SIZES_MM.items()
+        for size in both
+        for tone in sizes.tones_hz + (sizes.fast_tones_hz if kind == PRESSED else ())
+        for seed in range(context.seeds)
+    ]
+    pieces = [
+        Piece(
+            f'shake_{kind}_{tone:g}hz_{1e3 * size:g}um_s{seed}',
+            _shaken_spectra,
+            (kind, tone, size, seed),
+            ('mixtac_events', 'mixtac_sim'),
+        )
+        for kind, tone, size, seed in cases
+    ]
+    found: dict[tuple[str, float], list[list[Found]]] = {}
+    for (kind, tone, size, seed), result in zip(
+        cases, context.run('vibration', pieces), strict=True
+    ):
+        by_seed = found.setdefault((kind, size), [[] for _ in range(context.seeds)])
+        by_seed[seed - FIRST_SEED].append((tone, result))
+    rows: list[Row] = []
+    for (kind, size), by_seed in found.items():
+        for signal in SIGNALS:
+            rows += _rows(kind, size, signal, by_seed, sizes.tones_hz)
+        if kind == PRESSED and sizes.fast_tones_hz:
+            rows += _rows(kind, size, FLOW, by_seed, sizes.fast_tones_hz)
+    panels = {
+        f'{kind}, {1e3 * size:g} um:\n{SIGNALS[signal]}': [
+            (tone, each[signal])
+            for by_seed in found[kind, size]
+            for tone, each in by_seed
+            if signal == FLOW or tone <= sizes.tones_hz[-1]
+        ]
+        for kind, signal in ((TAPPING, COUNT), (PRESSED, COUNT), (PRESSED, FLOW))
+        for size in SIZES_MM[kind][:1]
+    }
+    path = _draw(context.figure('vibration'), panels)
+    return Outcome(
+        data=f'virtual sensor, preset {PRESET}, {context.seeds} sensors (seeds from {FIRST_SEED}),'
+        f' {len(sizes.tones_hz)} tones of {sizes.tones_hz[0]:g} to {sizes.tones_hz[-1]:g} Hz and'
+        f' {len(sizes.fast_tones_hz)} above, one second each',
+        rows=rows,
+        figures={'Spectra over the tone, mean of the sensors; dashed: reconstructed = input': path},
+        **texts('vibration'),
+    )
+
+
+def _shaken_spectra(_base: Path, *case: Any) -> dict[str, Any]:  # noqa: ANN401
+    return spectra(shake(*case))
+
+
+def _rows(
+    kind: str,
+    size_mm: float,
+    signal: str,
+    by_seed: Sequence[Sequence[Found]],
+    tones: Sequence[float],
+) -> list[Row]:
+    """Return the share of tones found within 1 Hz, and the largest error."""
+    errors = [
+        [abs(found[signal]['dominant_hz'] - tone) for tone, found in each if tone in tones]
+        for each in by_seed
+    ]
+    shares = Value.of(float(np.mean(np.array(each) <= TOLERANCE_HZ)) for each in errors)
+    span = f'{min(tones):g} to {max(tones):g} Hz'
+    name = f'{kind}, {1e3 * size_mm:g} um, {SIGNALS[signal]}, {span}'
+    counted = signal == COUNT and max(tones) <= 250.0
+    place = _PLACE if counted else ''
+    text = f'{len(tones)} tones; within {TOLERANCE_HZ:g} Hz'
+    paper = 1.0 if counted else None
+    rows = [Row(f'{name}: share of tones', shares, paper, place, '', text)]
+    if signal != POLARITY:
+        worst = Value.of(max(each) for each in errors)
+        rows.append(Row(f'{name}: largest error', worst, None, '', 'Hz', f'{len(tones)} tones'))
+    return rows
+
+
+def _draw(path: Path, panels: dict[str, list[Found]]) -> Path:
+    figure, axes = new_axes(columns=len(panels), width=3.6 * len(panels), height=4.0)
+    for ax, (title, found) in zip(axes, panels.items(), strict=True):
+        tones = np.array(sorted({tone for tone, _ in found}))
+        columns = [
+            np.mean([each['spectrum'] for tone, each in found if tone == chosen], axis=0)
+            for chosen in tones
+        ]
+        highest = len(columns[0]) - 1
+        # Columns are as wide as the spacing of the tones.
+        middles = 0.5 * (tones[1:] + tones[:-1])
+        half = 0.5 * (tones[1] - tones[0]) if len(tones) > 1 else 5.0
+        edges = np.concatenate([[tones[0] - half], middles, [tones[-1] + half]])
+        picture = np.array(columns).T[30:]
+        heights = np.arange(30, highest + 2) - 0.5
+        mesh = ax.pcolormesh(edges, heights, picture, cmap='magma', vmin=0.0, vmax=1.0)
+        ax.plot([30.0, highest], [30.0, highest], '--', color='#56b4e9', lw=1.0)
+        ax.set(xlim=(edges[0], edges[-1]), ylim=(30.0, highest), xlabel='tone [Hz]')
+        ax.set_title(f'{title}\n{mark(simulated=True)}', fontsize=9)
+        ax.grid(visible=False)
+    axes[0].set_ylabel('reconstructed [Hz]')
+    figure.colorbar(mesh, ax=axes, label='amplitude / largest', fraction=0.03)
+    return save_figure(figure, path)

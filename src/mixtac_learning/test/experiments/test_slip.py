@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The whole loop in lock-step, the sensor's own force in it, and the lower bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_learning.experiments.slip_loop import (
+    PULLS_S,
+    ClosedLoop,
+    Gains,
+    SensedForce,
+    calibrate,
+    fit_sideways,
+)
+from mixtac_learning.experiments.slip_trials import (
+    AFTER_KNOCK_S,
+    GRID_S,
+    KNOCK_S,
+    TrialPlan,
+    arrest_of,
+    fastest_way,
+    run_trial,
+)
+from mixtac_sim.world.profiles import make_profile
+from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.parameters import SlipControlParameters
+
+PLAN = TrialPlan('box', 3, 1.03, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
+
+
+def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:
+    result, record = run_trial(PLAN)
+    assert result['held']
+    assert not result['open_held']
+    assert result['false_alarms'] == 0
+    assert result['limit_violations'] == 0
+    assert result['rejected'] == 0
+    assert 0.0 < result['detection_ms'] <= 3.0
+    # It has pressed to the margin before the knock; the rest is the answer.
+    pressed = record.advance_mm[record.t_us < 1e6 * KNOCK_S].max()
+    assert result['knock_share'] > 1.05
+    assert record.advance_mm[-1] > pressed + 5e-3
+    assert result['floor_mm'] < result['open_slip_mm']
+    assert result['peak_n'] < PLAN.settings.max_force
+    assert result['stopped'] == ''
+
+
+def test_a_calibrated_sensor_measures_force_and_pull_of_a_grasp() -> None:
+    """The calibration, which takes longest, is that of the trial before."""
+    plan = TrialPlan('box', PLAN.seed, margin=1.3, preset=PLAN.preset)
+    grasp = plan.grasp(camera=True)
+    gains = calibrate(plan.seed, plan.seed, plan.preset)
+    assert gains != Gains()
+    force, found = SensedForce(grasp, gains), []
+    for _ in range(300):
+        block = grasp.advance(np.zeros(8))
+        found += force.advance(block.events, block.frames, int(block.t_us[-1]))
+    last = found[-1]
+    assert last.valid
+    assert last.deviation is not None
+    assert last.shear is not None
+    # The gains are those of a hemisphere, the object is a box.
+    assert last.force == pytest.approx(block.normal_n[-1], rel=0.5)
+    # The object pulls the skin down.
+    assert -last.shear.y == pytest.approx(block.pull_n[-1], rel=0.5)
+    assert last.end_us == pytest.approx(300_000, abs=2000)
+
+
+def test_enabling_before_the_background_is_known_is_refused() -> None:
+    grasp = PLAN.grasp(camera=True)
+    with pytest.raises(SlipControlError):
+        ClosedLoop(grasp, SlipControlParameters(), SensedForce(grasp, Gains())).run(0.2, 0.1)
+
+
+def test_the_gain_is_that_of_the_masses_that_pull() -> None:
+    profile = make_profile('pulls', 1, PULLS_S)
+    count = round(PULLS_S * 500)
+    motion, (_, force, _) = profile.motion(0, 16 * count), profile.commands(0, 16 * count)
+    known = np.nan_to_num(motion[15::16, 5:]) * (1.0, -1.0)
+    fit = fit_sideways(2e-3 * np.arange(count), force[15::16] / 0.7, known / 1.6)
+    assert fit.gain == pytest.approx(1.6, rel=1e-3)
+
+
+def test_what_hardly_holds_an_object_holds_it_for_the_whole_trial() -> None:
+    for seed in range(980_016, 980_020):
+        plan = TrialPlan(seed=seed, margin=1.005, knock_mm_s=0.0)
+        grasp = plan.grasp(camera=False)
+        block = grasp.advance(np.zeros(round((KNOCK_S + AFTER_KNOCK_S) / GRID_S)))
+        assert block.object_mm[-1] < 0.1
+
+
+@settings(max_examples=50)
+@given(st.floats(0.02, 3.0), st.floats(1.0, 8.0), st.floats(800.0, 4000.0))
+def test_best_motion_keeps_acceleration_and_jerk(distance: float, a: float, jerk: float) -> None:
+    way = fastest_way(distance, a, jerk, 2000)
+    path = np.concatenate([np.zeros(3), way])
+    acceleration = np.diff(path, 2) / GRID_S**2 * 1e-3
+    assert np.abs(acceleration).max() <= a * 1.001
+    # The ramps are cut to whole steps of the grid.
+    width = max(round(a / jerk / GRID_S), 1)
+    bound = 2.0 * a / (width * GRID_S)
+    assert np.abs(np.diff(acceleration) / GRID_S).max() <= bound * 1.001
+    assert way[-1] == pytest.approx(distance, rel=1e-9)
+    assert np.all(np.diff(way) >= -1e-12)
+
+
+def test_best_motion_takes_the_time_of_bang_bang_and_a_ramp() -> None:
+    # 0.5 mm at 5 m/s2: twice the root of d / a is 20 ms; the jerk of 2500 adds 2 ms.
+    way = fastest_way(0.5, 5.0, 2500.0, 400)
+    arrival = np.flatnonzero(way >= 0.5 - 1e-9)[0] * GRID_S
+    assert arrival == pytest.approx(22e-3, abs=5e-4)
+
+
+def test_arrest_is_when_the_object_stands_still_for_good() -> None:
+    t_us = (np.arange(800) + 1) * 125
+    speed = np.zeros(800)
+    speed[80:160] = 10.0
+    speed[200:240] = 2.0
+    arrest = arrest_of(t_us, np.cumsum(speed) * 125e-6, speed, 10_000)
+    assert arrest.slip_mm == pytest.approx(0.11)
+    assert arrest.arrest_ms == pytest.approx(20.0)
+    assert arrest.held
+    never = arrest_of(t_us, np.linspace(0, 1, 800), np.full(800, 10.0), 10_000)
+    assert np.isnan(never.arrest_ms)
+    assert not never.held
