@@ -190,7 +190,7 @@ def validity_share(model: Model, scene: Scene) -> float:
     """
     estimator = ForceEstimator(open_estimator(model), assume_free=True)
     slicer = WindowSlicer(estimator.window_us)
-    validity = Validity(estimator.window_us, estimator.size[0])
+    validity = Validity(estimator.size[0])
     frames, seen = deque(scene.frames), None
     whole_s = checks_s = 0.0
     for end_us, packet in zip(scene.ends_us, scene.packets, strict=True):
@@ -202,10 +202,10 @@ def validity_share(model: Model, scene: Scene) -> float:
         estimator.push_events(decoded.events, decoded.complete_until)
         whole_s += time.thread_time() - start_s
         closed = slicer.push(decoded.events, decoded.complete_until)
-        used, force = estimator.frame, estimator.frame_force
+        used = estimator.frame
         start_s = time.thread_time()
         if used is not None and used is not seen:
-            validity.frame(used.mid_us, used.contrast, used.picture, force, force)
+            validity.frame(used.mid_us, used.contrast, used.picture)
         for window_us, part in closed:
             validity.window(window_us, part, complete=True)
         checks_s += time.thread_time() - start_s

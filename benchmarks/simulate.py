@@ -25,8 +25,7 @@ from mixtac_cli.options import JsonFile, Preset
 from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
-from mixtac_sim.bags.generation import generate
-from mixtac_sim.bags.trial_bag import TruthMessages, write_trial
+from mixtac_sim.bags.trial_bag import TruthMessages, generate, write_trial
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.optics.beads import BeadMotion
@@ -39,8 +38,8 @@ from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
-from mixtac_sim.world.datasets import describe, plan_profile
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.plans import describe, plan_profile
 from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.trial import Stretch, TrialStream
 

@@ -83,6 +83,8 @@ class Package:
         self.work = work
         self.name = manifest.findtext('name', '').strip()
         self.depends = [(each.text or '').strip() for each in manifest.iter('depend')]
+        if (source / 'srv').is_dir():
+            self.depends.append('service_msgs')
         self.interfaces = [
             path.relative_to(source)
             for kind in ('msg', 'srv')

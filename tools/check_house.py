@@ -48,8 +48,8 @@ FLOORS = {
     'mixtac_slip_control': 4,
     'mixtac_sim': 4,
     'mixtac_learning': 5,
-    'mixtac': 5,
-    'mixtac_cli': 6,
+    'mixtac': 410,
+    'mixtac_cli': 3910,
     'mixtac_bringup': 7,
 }
 RUN = frozenset(
@@ -73,12 +73,12 @@ CEILINGS = {
     'mixtac_recordings': 2670,
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
-    'mixtac_fger': 5579,
+    'mixtac_fger': 5080,
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
-    'mixtac': 445,
+    'mixtac': 410,
     'mixtac_learning': 6330,
-    'mixtac_cli': 3970,
+    'mixtac_cli': 4070,
 }
 """Most code lines per package: to add, take out in the same change, and lower what has sunk."""
 SMALL = 60

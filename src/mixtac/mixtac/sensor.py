@@ -8,7 +8,6 @@ estimator with its checks, and the writer of bags.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 from collections import deque
@@ -29,13 +28,12 @@ from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_events.codec import warm_up as warm_up_codec
-from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
-from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
 from mixtac_node.files import state_file
 from mixtac_node.parameters import build
@@ -45,7 +43,6 @@ from mixtac_recordings.messages import left_aligned
 if TYPE_CHECKING:
     from mixtac.virtual import VirtualProcess
     from mixtac_driver.camera import CameraBatch
-    from mixtac_driver.source import Source
     from mixtac_events.readings import Frame
     from mixtac_fger.estimator import EncodedFrame, Estimate
 
@@ -97,124 +94,6 @@ WAITING: Final = 8
 """Frames that wait to be encoded; the estimator keeps fewer."""
 
 
-class _Run:
-    """An open sensor: takes batches in the thread of its supervisor."""
-
-    def __init__(
-        self,
-        feed: ForceEstimator,
-        settings: FgerParameters,
-        driver: DriverSettings,
-        source: Source,
-        forces: Latest[Reading],
-        pictures: Latest[Picture],
-    ) -> None:
-        self._feed, self._settings, self._driver = feed, settings, driver
-        self._source = source
-        self._forces, self._pictures = forces, pictures
-        self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
-        self._shown: EncodedFrame | None = None
-        self._trusted: float | None = None
-        self._identity = source.status().identity
-        self._lock = threading.Lock()
-        self.supervisor = Supervisor(
-            source,
-            driver.parameters,
-            on_start=self._restart,
-            on_batch=self._batch,
-            on_error=lambda _line: None,
-        )
-
-    @property
-    def serial(self) -> str:
-        return self._identity.serial if self._identity else ''
-
-    def check(self) -> None:
-        """Raise where the source has failed or ended."""
-        if self.supervisor.failure is not None:
-            raise self.supervisor.failure
-        if self.supervisor.state is State.ENDED:
-            raise SensorError('the recording has ended', remedy='open it again')
-
-    def reason(self) -> str:
-        """Return why no force comes; empty if unknown."""
-        return self.supervisor.error or self._feed.status().reason
-
-    def tare(self) -> None:
-        with self._lock:
-            self._feed.tare()
-            self._trusted = None
-            reference, name = self._feed.reference, self._settings.reference
-            if name and reference is not None:
-                reference.save(state_file(name))
-
-    def _restart(self) -> None:
-        before, self._identity = self._identity, self._source.status().identity
-        if not before or not self._identity or before.serial == self._identity.serial:
-            return
-        with self._lock:
-            self._feed.change_camera()
-            self._trusted = None
-            if self._settings.reference != reference_name(before.serial):
-                return  # one that the user has named
-            name = reference_name(self._identity.serial)
-            self._settings = replace(self._settings, reference=name)
-            # A zero that cannot be read is unknown.
-            with contextlib.suppress(MixtacError):
-                stored = stored_reference(name, self._feed.reference)
-                if stored is not None:
-                    self._feed.use_reference(stored)
-
-    def _batch(self, batch: CameraBatch) -> None:
-        decoded, origin_us = batch.decoded, batch.origin.us
-        assert self._identity is not None  # noqa: S101  (the source is open)
-        for frame in decoded.frames:
-            self._take_frame(frame, origin_us)
-        kept = self._driver.mask.keep(decoded.events)
-        # The driver's arrays are overwritten by the next batch.
-        events = Events(kept.t + origin_us, kept.x.copy(), kept.y.copy(), kept.polarity.copy())
-        with self._lock:
-            estimates = self._feed.push_events(events, batch.time_us)
-            self._show()
-        readings = [self._reading(estimate) for estimate in estimates]
-        if readings:
-            self._forces.put(readings[-1])
-
-    def _take_frame(self, frame: Frame, origin_us: int) -> None:
-        image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
-        self._images.append((mid_us, image))
-        self._feed.push_frame(image, mid_us)
-        control = self._source.control
-        if control is not None and self._identity is not None:
-            exposure_us = frame.exposure_cycles / self._identity.clocks.adc
-            self._driver.follow(frame, exposure_us, control)
-
-    def _show(self) -> None:
-        frame, reference = self._feed.frame, self._feed.reference
-        if frame is None or frame is self._shown:
-            return
-        self._shown = frame
-        difference = None
-        if frame.contrast is not None and reference is not None and reference.array is not None:
-            difference = frame.contrast - reference.array
-        for mid_us, image in self._images:
-            if mid_us == frame.mid_us:
-                self._pictures.put(Picture(mid_us, image, difference))
-
-    def _reading(self, estimate: Estimate) -> Reading:
-        force = given_force(estimate, self._settings.invalid_force, self._trusted)
-        if estimate.valid:
-            self._trusted = force
-        return Reading(
-            stamp_us=estimate.end_us,
-            force=math.nan if force is None else force,
-            deviation=math.nan if estimate.deviation is None else estimate.deviation,
-            valid=estimate.valid,
-            reason=estimate.reason,
-            frame_age_s=estimate.frame_age_us * 1e-6,
-        )
-
-
 class Sensor:
     """A tactile sensor; use it in a `with` statement, or call `open` and `close`.
 
@@ -251,13 +130,15 @@ class Sensor:
         fger: FgerParameters | None = None,
     ) -> None:
         self.source = str(source)
-        self._driver = build(DriverParameters, asdict(driver) if driver else {})
+        self._parameters = build(DriverParameters, asdict(driver) if driver else {})
         self._fger = build(FgerParameters, asdict(fger) if fger else {})
         if model:
             self._fger = replace(self._fger, model=model)
         self._closing: list[Callable[[], object]] = []
-        self._lock = threading.RLock()
-        self._run: _Run | None = None
+        self._opening = threading.RLock()
+        self._estimating = threading.Lock()
+        self._supervisor: Supervisor | None = None
+        self._trusted: float | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
         self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
 
@@ -273,12 +154,12 @@ class Sensor:
     @property
     def is_open(self) -> bool:
         """Whether it was opened and not closed since."""
-        return self._run is not None
+        return self._supervisor is not None
 
     @property
     def serial(self) -> str:
         """Serial number of the camera; empty while closed."""
-        return self._run.serial if self._run else ''
+        return self._identity.serial if self.is_open else ''
 
     def open(self) -> None:
         """Load the model, open the source and start; compiling takes seconds the very first time.
@@ -289,21 +170,21 @@ class Sensor:
             SensorError: It is open already, or the virtual sensor does not start.
             MixtacError: The source or the bag cannot be opened.
         """
-        with self._lock:
-            if self._run is not None:
+        with self._opening:
+            if self.is_open:
                 raise SensorError('the sensor is open already', remedy='call close() first')
             for latest in (self.pictures, self._forces):
                 latest.clear()
             try:
-                self._run = self._start()
+                self._supervisor = self._start()
             except BaseException:
                 self._clean_up()
                 raise
 
     def close(self) -> None:
         """Stop; harmless on a closed sensor."""
-        with self._lock:
-            self._run = None
+        with self._opening:
+            self._supervisor = None
             self._clean_up()
 
     def read(self, timeout_ms: float = LONG_MS) -> Reading:
@@ -326,11 +207,14 @@ class Sensor:
             NotOpenError: The sensor is closed.
         """
         self._check()
-        run = self._run
-        if run is not None:
-            run.tare()
+        with self._estimating:
+            self._feed.tare()
+            self._trusted = None
+            reference, name = self._feed.reference, self._settings.reference
+            if name and reference is not None:
+                reference.save(state_file(name))
 
-    def _start(self) -> _Run:
+    def _start(self) -> Supervisor:
         path = find_model(self._fger.model)
         model = read_model(path)
         for kernels, run_once in (
@@ -345,13 +229,14 @@ class Sensor:
         settings = replace(
             self._fger, assume_free=self._fger.assume_free or kind is not SourceKind.CAMERA
         )
-        driver = DriverSettings(parameters)
+        self._driver = driver = DriverSettings(parameters)
         camera, pixel_filter = driver.camera_settings()
-        source = make_source(camera, pixel_filter=pixel_filter)
+        self._source = source = make_source(camera, pixel_filter=pixel_filter)
         source.open()
         self._closing.append(source.close)
         identity = source.status().identity
         assert identity is not None  # noqa: S101  (it was opened)
+        self._identity = identity
         width, height = size = identity.geometry.event_size
         driver.use_size(size)
         estimator = open_estimator(model)
@@ -360,24 +245,34 @@ class Sensor:
             settings = replace(settings, reference=reference_name(identity.serial))
         stored_reference(settings.reference, estimator.reference)
         options = settings.estimator_options()
-        feed = ForceEstimator(estimator, background_frames=True, **options)
-        self._closing.append(feed.close)
-        run = _Run(feed, settings, driver, source, self._forces, self.pictures)
-        self._closing.append(run.supervisor.stop)
-        run.supervisor.start()
-        return run
+        self._settings = settings
+        self._feed = ForceEstimator(estimator, background_frames=True, **options)
+        self._closing.append(self._feed.close)
+        self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
+        self._shown: EncodedFrame | None = None
+        self._trusted = None
+        supervisor = Supervisor(
+            source,
+            parameters,
+            on_start=self._refuse_another_camera,
+            on_batch=self._on_batch,
+            on_error=lambda _line: None,
+        )
+        self._closing.append(supervisor.stop)
+        supervisor.start()
+        return supervisor
 
     def _driver_parameters(self) -> DriverParameters:
         device, _, rest = self.source.partition(':')
         if device == USB:
-            return replace(self._driver, device=DriverParameters.device, serial=rest)
+            return replace(self._parameters, device=DriverParameters.device, serial=rest)
         if device == VIRTUAL and not rest.startswith('/'):
             from mixtac.virtual import VirtualProcess
 
             process: VirtualProcess = VirtualProcess(rest)
             self._closing.append(process.close)
-            return replace(self._driver, device=process.device)
-        return replace(self._driver, device=self.source)
+            return replace(self._parameters, device=process.device)
+        return replace(self._parameters, device=self.source)
 
     def _clean_up(self) -> None:
         failure = None
@@ -391,13 +286,81 @@ class Sensor:
 
     def _check(self) -> None:
         """Raise where no reading can be expected any more."""
-        run = self._run
-        if run is None:
+        supervisor = self._supervisor
+        if supervisor is None:
             raise NotOpenError(
                 f'the sensor {self.source!r} is not open',
                 remedy='call open() or use it in a with statement',
             )
-        run.check()
+        if supervisor.failure is not None:
+            raise supervisor.failure
+        if supervisor.state is State.ENDED:
+            raise SensorError('the recording has ended', remedy='open it again')
 
     def _reason(self) -> str:
-        return self._run.reason() if self._run else ''
+        """Return why no force comes; empty if unknown."""
+        supervisor = self._supervisor
+        return supervisor.error or self._feed.status().reason if supervisor else ''
+
+    def _refuse_another_camera(self) -> None:
+        identity = self._source.status().identity
+        if identity and identity.serial != self._identity.serial:
+            raise SensorError(
+                f'camera {identity.serial} replaces {self._identity.serial}',
+                remedy='close the sensor and open it again: each camera has its own zero',
+            )
+
+    def _on_batch(self, batch: CameraBatch) -> None:
+        decoded, origin_us = batch.decoded, batch.origin.us
+        for frame in decoded.frames:
+            self._on_frame(frame, origin_us)
+        kept = self._driver.mask.keep(decoded.events)
+        # The driver's arrays are overwritten by the next batch.
+        events = Events(kept.t + origin_us, kept.x.copy(), kept.y.copy(), kept.polarity.copy())
+        with self._estimating:
+            estimates = self._feed.push_events(events, batch.time_us)
+            self._show_frame()
+            for estimate in estimates:
+                force = given_force(estimate, self._settings.invalid_force, self._trusted)
+                if estimate.valid:
+                    self._trusted = force
+        if estimates:
+            self._forces.put(reading_of(estimates[-1], force))
+
+    def _on_frame(self, frame: Frame, origin_us: int) -> None:
+        image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
+        self._images.append((mid_us, image))
+        self._feed.push_frame(image, mid_us)
+        control = self._source.control
+        if control is not None:
+            exposure_us = frame.exposure_cycles / self._identity.clocks.adc
+            self._driver.follow(frame, exposure_us, control)
+
+    def _show_frame(self) -> None:
+        frame, reference = self._feed.frame, self._feed.reference
+        if frame is None or frame is self._shown:
+            return
+        self._shown = frame
+        difference = None
+        if frame.contrast is not None and reference is not None and reference.array is not None:
+            difference = frame.contrast - reference.array
+        for mid_us, image in self._images:
+            if mid_us == frame.mid_us:
+                self.pictures.put(Picture(mid_us, image, difference))
+
+
+def reading_of(estimate: Estimate, force_n: float | None) -> Reading:
+    """Return the reading of an estimate.
+
+    Args:
+        estimate: The estimate.
+        force_n: Its force by the setting `invalid_force` [N]; None where it is withheld.
+    """
+    return Reading(
+        stamp_us=estimate.end_us,
+        force=math.nan if force_n is None else force_n,
+        deviation=math.nan if estimate.deviation is None else estimate.deviation,
+        valid=estimate.valid,
+        reason=estimate.reason,
+        frame_age_s=estimate.frame_age_us * 1e-6,
+    )

@@ -24,8 +24,8 @@ NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-START_S: Final = 120.0
-"""Longest time to start [s]; the very first time the simulation is compiled."""
+START_S: Final = 600.0
+"""Longest time to start [s]: the first time the simulation compiles, on a busy computer slowly."""
 
 
 class VirtualProcess:
@@ -70,8 +70,7 @@ def serve(scenario: str) -> None:
     Raises:
         MixtacError: Unknown scenario, or the socket cannot be made.
     """
-    from mixtac_sim.live.simulation_process import SimulationProcess
-    from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+    from mixtac_sim.live.virtual_sensor import SimulationProcess, make_virtual_sensor
     from mixtac_sim.usb.server import UsbServer
     from mixtac_sim.world.effects import PAPER_LIKE
     from mixtac_sim.world.profiles import make_profile
@@ -81,7 +80,7 @@ def serve(scenario: str) -> None:
     make_profile(scenario, 0, SCENARIO_S, preset=PAPER_LIKE, sync=False)
     with tempfile.TemporaryDirectory(prefix='mixtac-') as folder:
         sensor = make_virtual_sensor(
-            device_seed=1, seed=1, skew_ppm=17.0, preset=PAPER_LIKE, process=process, patient=True
+            device_seed=1, seed=1, skew_ppm=17.0, preset=PAPER_LIKE, process=process
         )
         server = UsbServer(sensor.device, str(Path(folder) / 'camera.sock'))
         try:

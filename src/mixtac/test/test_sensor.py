@@ -27,7 +27,7 @@ from mixtac_fger.parameters import FgerParameters
 from mixtac_node.parameters import ParameterError
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import write_trial
-from mixtac_sim.world.datasets import plan_profile
+from mixtac_sim.world.plans import plan_profile
 
 
 @pytest.fixture(scope='module')

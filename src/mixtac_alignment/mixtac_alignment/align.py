@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from mixtac_alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
+from mixtac_alignment.impulses import FORCE_GAP_S
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.taps import fit_taps
-from mixtac_alignment.two_impulse import FORCE_GAP_S
 
 Floats = NDArray[np.float64]
 

@@ -21,10 +21,8 @@ from mixtac_alignment.align import Method, Recording, align, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.histories import (
     EventHistory,
-    EventRateHistory,
     ForceHistory,
     FrameHistory,
-    by_cell,
     follow_stamps,
     has_restarted,
     reduce_frame,
@@ -32,7 +30,6 @@ from mixtac_alignment.histories import (
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_events.codec import MAX_TIME_BASE, decode_message, warm_up
 from mixtac_events.packets import CodecError
-from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node import topics
@@ -59,15 +56,13 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         super().__init__('alignment')
         self._settings = declare(self, AlignmentParameters, self._apply)
         p = self._settings
-        self._rate = EventRateHistory(p.history)
-        self._history = EventHistory(p.history)
+        self._events = EventHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
         self._frames = FrameHistory(p.history)
         self._camera_edges: Edges = deque()
         self._reference_edges: Edges = deque()
         self._fit: ClockFit | None = None
-        self._restarts = self._driver_restarts = 0
-        self._packets = SequenceCounter()
+        self._restarts = 0
         self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
@@ -103,24 +98,11 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._undecodable += 1
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
-        before = self._packets.restarts
-        if self._packets.update(message.seq):
-            self._rate.mark_lost(packet.start_us)
-        if self._packets.restarts > before:
-            self._forget_camera()
-        self._rate.push(packet.events.t, packet.complete_until)
-        if self._settings.use_frames:
-            self._history.push(by_cell(packet.events, message.width, message.height))
-
-    def _forget_camera(self) -> None:
-        """Begin anew: another run of the driver has another origin of the camera clock."""
-        p = self._settings
-        self._driver_restarts += 1 + self._rate.restarts
-        self._rate = EventRateHistory(p.history)
-        self._history = EventHistory(p.history)
-        self._frames = FrameHistory(p.history)
-        self._camera_edges.clear()
-        self._reference_edges.clear()
+        if self._events.add(packet, message.seq, message.width, message.height):
+            # Another run of the driver has another origin of the camera clock.
+            self._frames = FrameHistory(self._settings.history)
+            self._camera_edges.clear()
+            self._reference_edges.clear()
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -171,8 +153,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         edges = self._camera_edges, self._reference_edges
         camera, reference = (np.array(each, np.int64).reshape(-1, 2) for each in edges)
         recording = Recording(
-            counts=self._rate.snapshot(),
-            events=self._history.snapshot(),
+            counts=self._events.counts(),
+            events=self._events.events(),
             frames=self._frames.snapshot() if p.use_frames else None,
             force_t_s=t_s,
             force=force,
@@ -190,7 +172,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     @property
     def _clock_restarts(self) -> int:
-        return self._driver_restarts + self._rate.restarts + self._force.restarts
+        return self._events.restarts + self._force.restarts
 
     @property
     def _stale(self) -> bool:
@@ -203,14 +185,13 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _status(self) -> Status:
         values: dict[str, object] = {
-            'packets': self._packets.received,
-            'lost packets': self._packets.lost,
+            'packets': self._events.packets.received,
+            'lost packets': self._events.packets.lost,
             'undecodable packets': self._undecodable,
-            'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
             'reference samples dropped: reference_rate is too low': self._force.dropped,
             'frames and exposure messages without a match': self._unmatched(),
-            'events dropped: history buffer full': self._history.dropped,
+            'events dropped: history buffer full': self._events.dropped,
             'external edges': len(self._camera_edges),
             'clock restarts': self._clock_restarts,
         }

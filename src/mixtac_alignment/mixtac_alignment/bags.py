@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock maps of bags: reading what a fit needs, and results on disk.
 
-`read_recording` reduces a bag in one pass. A bag has a packet every millisecond; building a message
-for each and reducing it by itself would take most of the time of `mixtac align`, so packets are
-read in their serialised form, in batches.
+`read_recording` reduces a bag in one pass. A bag has a packet every millisecond; packets are read
+in their serialised form, because a message for each would take most of the time.
 
 `write_fit` writes a map beside its bag, `rewrite_bag` copies a bag onto one clock.
 """
@@ -21,21 +20,10 @@ from numpy.typing import NDArray
 from mixtac_alignment.align import Recording, arrived_together
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError, GapError
-from mixtac_alignment.histories import (
-    BIN_US,
-    RESTART_US,
-    CellEvents,
-    EventCounts,
-    EventHistory,
-    FrameHistory,
-    by_cell,
-    reduce_frame,
-)
-from mixtac_events.arrays import Events
+from mixtac_alignment.histories import RESTART_US, EventHistory, FrameHistory, reduce_frame
 from mixtac_events.codec import StreamDecoder
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import read_packet
-from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
 from mixtac_node.files import new_folder, read_data, write_json
 from mixtac_node.images import ImageConversionError, grey
@@ -44,112 +32,27 @@ from mixtac_recordings.bag import BagFile, check_new, custom_data, fit_path, typ
 from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.recording import RecordingError
 
-RESTART_NS: Final = 1000 * RESTART_US
-"""Step back of a stamp from which the clock has restarted [ns]."""
-BATCH: Final = 256
-"""Packets that are reduced at once."""
-
-
 LONGEST_S: Final = 3600.0
-"""Longest span of frames and events that is kept, and longest hole in the events [s]."""
+"""Longest span of frames and events that is kept [s]."""
 
 
-class PacketCollector:
-    """Counts events packet by packet and keeps them by cell: whole ones would take gigabytes.
+def add_packet(data: bytes, decoder: StreamDecoder, history: EventHistory) -> None:
+    """Add a serialised `EventPacket` to a history.
 
-    Args:
-        span_s: Time to keep events for [s].
+    Raises:
+        CodecError: It is cut off, or its events are damaged.
+        GapError: The camera clock or its driver started anew, or jumped ahead by hours.
     """
-
-    def __init__(self, span_s: float) -> None:
-        self._history = EventHistory(span_s)
-        self._decoder = StreamDecoder()
-        self._parts: list[tuple[int, NDArray[np.int64]]] = []
-        self._lost: list[tuple[int, int]] = []
-        self._packets = SequenceCounter()
-        self._first: int | None = None
-        self._end = 0
-        self._batch: list[Events] = []
-        self._size = (0, 0)
-        self._newest_us = 0
-
-    def add(self, data: bytes) -> None:
-        """Add a serialised `EventPacket`.
-
-        Raises:
-            CodecError: It is cut off, or its events are damaged.
-            GapError: The camera clock went back, or ahead by more than is kept, or its driver was
-                started anew.
-        """
-        message = read_packet(data)
-        packet = self._decoder.decode(message)
-        if not self._decoder.timed:
-            return
-        start_us = packet.start_us
-        size = (message.width, message.height)
-        ahead_us = start_us - self._newest_us if self._first is not None else 0
-        if not -RESTART_US <= ahead_us <= 1e6 * LONGEST_S:
-            raise GapError(
-                f'the camera clock jumps by {ahead_us / 1e6:+.1f} s',
-                remedy='record again, and do not restart the driver or set the clock of the host',
-            )
-        if size != self._size:
-            self._reduce()
-        self._size, self._newest_us = size, packet.complete_until
-        if self._packets.update(message.seq):
-            self._lost.append((self._end, start_us // BIN_US + 1))
-        if self._packets.restarts:
-            raise GapError(
-                f'packet numbers jump to {message.seq}: the driver was started anew while the bag '
-                'was recorded, and its clock with it',
-                remedy='record again',
-            )
-        if self._first is None:
-            self._first = start_us // BIN_US
-        self._end = max(self._end, packet.complete_until // BIN_US)
-        if len(packet.events.t):
-            self._batch.append(packet.events)
-        if len(self._batch) >= BATCH:
-            self._reduce()
-
-    def events(self) -> CellEvents:
-        """Return the events by cell."""
-        self._reduce()
-        return self._history.snapshot()
-
-    def counts(self, where: str) -> EventCounts:
-        """Return the counts of all packets.
-
-        Args:
-            where: What the packets came from, for the message.
-
-        Raises:
-            RecordingError: There were none.
-        """
-        if self._first is None:
-            raise RecordingError(f'{where} is empty: the camera sent nothing during the recording')
-        self._reduce()
-        first, end = self._first, max(self._end, self._first + 1)
-        total = np.zeros(end - first, np.int64)
-        for low, part in self._parts:
-            a, b = max(low, first), min(low + len(part), end)
-            if b > a:
-                total[a - first : b - first] += part[a - low : b - low]
-        gaps = tuple((a - first, b - first) for a, b in self._lost)
-        return EventCounts(first * BIN_US, BIN_US, total, gaps)
-
-    def _reduce(self) -> None:
-        if not self._batch:
-            return
-        events = Events.concatenate(self._batch)
-        self._batch = []
-        self._history.push(by_cell(events, *self._size))
-        bins = events.t // BIN_US
-        low = int(bins.min())
-        self._parts.append((low, np.bincount(bins - low)))
+    message = read_packet(data)
+    packet = decoder.decode(message)
+    if decoder.timed and history.add(packet, message.seq, message.width, message.height):
+        raise GapError(
+            f'the camera clock or its driver started anew at {packet.start_us * 1e-6:.1f} s, in'
+            f' packet {message.seq}',
+            remedy='record again, and do not restart the driver or set the clock of the host',
+        )
 
 
-EMPTY: Final = EventCounts(0, BIN_US, np.zeros(1, np.int64))
 _NS: Final = 1_000_000_000
 
 
@@ -176,7 +79,8 @@ def read_recording(
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
     events, image, exposure, edge, other = (topics.absolute(name, namespace) for name in names)
     needed = () if edges_only else (events, reference)
-    packets, frames = PacketCollector(LONGEST_S), FrameHistory(LONGEST_S)
+    history, frames = EventHistory(LONGEST_S), FrameHistory(LONGEST_S)
+    decoder = StreamDecoder()
     images: dict[int, NDArray[np.float32]] = {}
     spans: dict[int, tuple[int, int]] = {}
     edges: list[int] = []
@@ -188,7 +92,7 @@ def read_recording(
         optional = [topic for topic in more if bag.counts.get(topic)]
         for topic, received_ns, message in bag.messages(*needed, *optional, raw=(events,)):
             if topic == events:
-                packets.add(message)
+                add_packet(message, decoder, history)
             elif topic == reference:
                 samples.append((stamp_to_ns(message.header.stamp), topics.normal_force(message)))
             elif topic in {image, exposure}:
@@ -206,10 +110,12 @@ def read_recording(
             else:
                 reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
                 arrived[1].append(received_ns)
+    if not (edges_only or history.packets.received):
+        raise RecordingError(f'{path} topic {events} is empty: the camera sent nothing')
     force_t_s, force = _force(samples, f'{path} topic {reference}')
     return Recording(
-        counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
-        events=packets.events(),
+        counts=history.counts(),
+        events=history.events(),
         frames=frames.snapshot(),
         force_t_s=force_t_s,
         force=force,
@@ -229,7 +135,7 @@ def _force(
     known = np.isfinite(forces) & (stamps > 0)
     stamps, forces = stamps[known], forces[known]
     back = np.diff(stamps)
-    if (back < -RESTART_NS).any():
+    if (back < -1000 * RESTART_US).any():
         raise GapError(
             f'{where}: the clock of the force sensor went back',
             remedy='record again, and do not restart the force sensor between the taps',

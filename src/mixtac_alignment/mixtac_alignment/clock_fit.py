@@ -9,7 +9,7 @@ is therefore kept about two epochs near the middle of the anchors, all in second
 .. math:: t_F - T_F = a\,(t_E - T_E) + b
 
 with :math:`T_E` (`camera_epoch_us`) and :math:`T_F` (`reference_epoch_s`) whole seconds, so that
-differences to them are exact. `paper_offset_s` is the `b` of the paper's relation.
+differences to them are exact.
 
 `ClockFit.to_fields` and `ClockFit.from_fields` convert a map to the fields of
 `mixtac_msgs/ClockFit` and back; the node, bags and files use the same ones.
@@ -105,11 +105,6 @@ class ClockFit:
         """Drift of the reference clock against the camera clock [1e-6]."""
         return (self.a - 1.0) * 1e6
 
-    @property
-    def paper_offset_s(self) -> float:
-        """The `b` of ``t_F = a t_E + b`` [s], with the rounding of float64 at epoch times."""
-        return self.reference_epoch_s + self.b - self.a * self.camera_epoch_us * 1e-6
-
     def with_map(
         self, a: float, b: float, covariance: NDArray[np.float64], method: str = ''
     ) -> ClockFit:
@@ -175,11 +170,9 @@ class ClockFit:
             pairs_s = np.array(anchors_s, np.float64).reshape(2, -1)
             residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
             method = str(fields['method'])
-        except KeyError as error:
-            raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
-        except (TypeError, ValueError, OverflowError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise AlignmentError(
-                f'clock fit with what is no number: {error}', remedy='fit again'
+                f'clock fit without a number in each field: {error}', remedy='fit again'
             ) from error
         times = np.array([camera_s, reference_s, *pairs_s.flat])
         known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the alignment remembers of events, frames and force, in bounded memory.
 
-Events are kept twice: counted in bins of 0.5 ms (`EventRateHistory`, `EventCounts`), and by image
-cell and polarity (`EventHistory`, `CellEvents`). Frames are reduced to the log brightness of coarse
+Events are counted in bins of 0.5 ms, and kept by image cell and polarity (`EventHistory`,
+`EventCounts`, `CellEvents`). Frames are reduced to the log brightness of coarse
 cells and joined with their exposure times (`FrameHistory`, `FrameFeatures`): a frame shows the
 deformation of the gel averaged over its exposure, whose times the camera gives exactly, without the
 latency of the event pixels. `ForceHistory` holds samples of the reference force.
@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError
 from mixtac_events.arrays import Events
+from mixtac_events.packets import DecodedPacket
+from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import counts_per_window
 
 CELL_PX: Final = 10
@@ -43,21 +44,6 @@ class FrameFeatures:
     start_us: NDArray[np.int64]
     end_us: NDArray[np.int64]
     values: NDArray[np.float32]
-
-    def __post_init__(self) -> None:
-        """Refuse arrays that do not pair up.
-
-        Raises:
-            AlignmentError: As above, or exposures that end before they begin.
-        """
-        n = len(self.start_us)
-        if self.end_us.shape != (n,) or self.values.ndim != 2 or len(self.values) != n:
-            raise AlignmentError(
-                f'{n} exposure starts, {len(self.end_us)} ends and {len(self.values)} frames: give '
-                'one of each per frame'
-            )
-        if n and not (np.all(self.end_us > self.start_us) and np.all(np.diff(self.start_us) > 0)):
-            raise AlignmentError('exposure times do not increase: sort the frames, drop repeats')
 
 
 def reduce_frame(image: NDArray[Any], full_scale: float) -> NDArray[np.float32]:
@@ -138,74 +124,10 @@ class EventCounts:
         return any(first - reach <= index < end + reach for first, end in self.lost)
 
 
-class EventRateHistory:
-    """Counts a live stream into a ring of bins, instead of keeping its events.
-
-    Attributes:
-        restarts: Times the clock of the stream jumped back.
-
-    Args:
-        span_s: Time to remember [s].
-        width_us: Width of a bin [us].
-    """
-
-    def __init__(self, span_s: float, width_us: int = BIN_US) -> None:
-        self.restarts = 0
-        self._width_us = width_us
-        self._ring = np.zeros(max(16, round(span_s * 1e6 / width_us)), np.int64)
-        self._lost: deque[tuple[int, int]] = deque(maxlen=1000)
-        self._first = self._end = self._complete = 0
-
-    def push(self, t_us: NDArray[np.int64], complete_until: int) -> None:
-        """Add the events of a packet.
-
-        Args:
-            t_us: Event times, camera clock [us].
-            complete_until: Camera clock [us]: no event before this time will follow.
-        """
-        complete = complete_until // self._width_us
-        if self._end == 0 or complete < self._complete - RESTART_US // self._width_us:
-            self._restart(complete_until if len(t_us) == 0 else int(t_us[0]))
-        newest = max(complete, int(t_us.max()) // self._width_us if len(t_us) else complete)
-        self._extend(newest + 1)
-        _count(np.ascontiguousarray(t_us, np.int64), self._width_us, self._first, self._ring)
-        self._complete = max(self._complete, complete)
-
-    def mark_lost(self, until_us: int) -> None:
-        """Note that packets between the latest complete time and `until_us` never came."""
-        self._lost.append((self._complete, until_us // self._width_us + 1))
-
-    def snapshot(self) -> EventCounts:
-        """Return the complete bins, a copy."""
-        bins = np.arange(self._first, max(self._first, self._complete))
-        lost = tuple((a - self._first, b - self._first) for a, b in self._lost if b > self._first)
-        return EventCounts(
-            self._first * self._width_us, self._width_us, self._ring[bins % len(self._ring)], lost
-        )
-
-    def _restart(self, t_us: int) -> None:
-        self.restarts += self._end != 0
-        self._lost.clear()
-        self._first = self._end = self._complete = t_us // self._width_us
-
-    def _extend(self, end: int) -> None:
-        """Make room for bins up to `end`, dropping the oldest."""
-        size = len(self._ring)
-        if end > self._end:
-            fresh = np.arange(max(self._end, end - size), end)
-            self._ring[fresh % size] = 0
-            self._end = end
-            self._first = max(self._first, end - size)
-
-
-@njit(cache=True, nogil=True)
-def _count(t: NDArray[np.int64], width_us: int, first: int, ring: NDArray[np.int64]) -> None:
-    for now in t:
-        index = now // width_us
-        if index >= first:
-            ring[index % len(ring)] += 1
-
-
+BATCH: Final = 256
+"""Packets that are reduced at once."""
+LONGEST_HOLE_US: Final = 3_600_000_000
+"""A longer hole in the events is a clock that jumped [us]."""
 MOST_EVENTS: Final = 8_000_000
 """Events that are kept, 11 bytes each: a minute of ordinary contact."""
 OUTSIDE: Final = 65_535
@@ -231,11 +153,6 @@ class CellEvents:
         a, b = np.searchsorted(self.t_us, (start_us, end_us))
         return CellEvents(self.t_us[a:b], self.cell[a:b], self.on[a:b])
 
-    @property
-    def start_us(self) -> int:
-        """Return the time of the first event [us]; 0 without events."""
-        return int(self.t_us[0]) if len(self.t_us) else 0
-
 
 def by_cell(events: Events, width: int, height: int) -> CellEvents:
     """Return events by cell.
@@ -253,53 +170,106 @@ def by_cell(events: Events, width: int, height: int) -> CellEvents:
 
 
 class EventHistory:
-    """Keeps the events of a stream by cell, dropping the oldest.
+    """Counts the events of a stream, and keeps its latest events by cell.
+
+    Packets are reduced in batches: one by one would take most of the time of an alignment.
 
     Attributes:
-        dropped: Events that were dropped to make room.
+        packets: Follows the packets' numbers.
+        restarts: Times the camera clock or its driver started anew, which empties the history.
+        dropped: Events by cell that were dropped to make room.
 
     Args:
         span_s: Time to remember [s].
-        most: Events to remember.
+        most: Events by cell to remember.
     """
 
     def __init__(self, span_s: float, most: int = MOST_EVENTS) -> None:
-        self.dropped = 0
-        self._span_us = round(1e6 * span_s)
-        self._most = most
-        self._parts: deque[CellEvents] = deque()
-        self._held = 0
+        self.packets = SequenceCounter()
+        self.restarts = self.dropped = 0
+        self._span_us, self._most = round(1e6 * span_s), most
+        self._size = (0, 0)
+        self._clear()
 
-    def push(self, part: CellEvents) -> None:
-        """Add the events of a packet; times that step back restart the history."""
-        if not len(part.t_us):
+    def _clear(self) -> None:
+        self._batch: list[Events] = []
+        self._counted: deque[tuple[int, NDArray[np.int64]]] = deque()
+        self._cells: deque[CellEvents] = deque()
+        self._held, self._first, self._end_us = 0, -1, 0
+        self._lost: list[tuple[int, int]] = []
+
+    def add(self, packet: DecodedPacket, seq: int, width: int, height: int) -> bool:
+        """Add a packet; return whether its clock or its driver has started anew.
+
+        Args:
+            packet: The packet.
+            seq: Its number.
+            width: Columns of the pixel array.
+            height: Rows of the pixel array.
+        """
+        ahead_us, before = packet.start_us - self._end_us, self.packets.restarts
+        missing = self.packets.update(seq)
+        jumped = self._first >= 0 and not -RESTART_US <= ahead_us <= LONGEST_HOLE_US
+        anew = jumped or self.packets.restarts > before
+        if anew:
+            self.restarts += 1
+            self._clear()
+        if self._size != (width, height):
+            self._reduce()
+        self._size = width, height
+        if self._first < 0:
+            self._first = packet.start_us // BIN_US
+        elif missing:
+            self._lost.append((self._end_us // BIN_US, packet.start_us // BIN_US + 1))
+        self._end_us = max(self._end_us, packet.complete_until)
+        if len(packet.events):
+            self._batch.append(packet.events)
+        if len(self._batch) >= BATCH:
+            self._reduce()
+        return anew
+
+    def counts(self) -> EventCounts:
+        """Return the counts of the bins that are complete."""
+        self._reduce()
+        end = max(self._end_us // BIN_US, self._first + 1)
+        first = max(self._first, end - self._span_us // BIN_US)
+        total = np.zeros(end - first, np.int64)
+        for low, part in self._counted:
+            a, b = max(low, first), min(low + len(part), end)
+            if b > a:
+                total[a - first : b - first] += part[a - low : b - low]
+        lost = tuple((a - first, b - first) for a, b in self._lost if b > first)
+        return EventCounts(first * BIN_US, BIN_US, total, lost)
+
+    def events(self) -> CellEvents:
+        """Return the latest events by cell, in the order of time."""
+        self._reduce()
+        parts = self._cells or [by_cell(Events.empty(), *self._size)]
+        t_us, cell, on = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ('t_us', 'cell', 'on')
+        )
+        order = np.argsort(t_us, kind='stable')
+        return CellEvents(t_us[order], cell[order], on[order])
+
+    def _reduce(self) -> None:
+        if not self._batch:
             return
-        if self._parts and part.t_us[0] < self._parts[-1].t_us[-1] - RESTART_US:
-            self._parts.clear()
-            self._held = 0
-        self._parts.append(part)
-        self._held += len(part.t_us)
-        while self._held > self._most and len(self._parts) > 1:
-            self.dropped += self._forget()
-        while self._parts[0].t_us[-1] < part.t_us[-1] - self._span_us:
-            self._forget()
-
-    def snapshot(self) -> CellEvents:
-        """Return what is remembered, a copy in the order of time."""
-        if not self._parts:
-            return CellEvents(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.bool_))
-        t_us = np.concatenate([part.t_us for part in self._parts])
-        cell = np.concatenate([part.cell for part in self._parts])
-        on = np.concatenate([part.on for part in self._parts])
-        if np.any(np.diff(t_us) < 0):
-            order = np.argsort(t_us, kind='stable')
-            t_us, cell, on = t_us[order], cell[order], on[order]
-        return CellEvents(t_us, cell, on)
-
-    def _forget(self) -> int:
-        oldest = len(self._parts.popleft().t_us)
-        self._held -= oldest
-        return oldest
+        events, self._batch = Events.concatenate(self._batch), []
+        bins = events.t // BIN_US
+        low = int(bins.min())
+        self._counted.append((low, np.bincount(bins - low)))
+        self._cells.append(by_cell(events, *self._size))
+        self._held += len(events)
+        oldest_us = self._end_us - self._span_us
+        while self._counted[0][0] + len(self._counted[0][1]) < oldest_us // BIN_US:
+            self._counted.popleft()
+        while len(self._cells) > 1 and (
+            self._held > self._most or self._cells[0].t_us[-1] < oldest_us
+        ):
+            part = self._cells.popleft()
+            self._held -= len(part.t_us)
+            self.dropped += len(part.t_us) if part.t_us[-1] >= oldest_us else 0
 
 
 FRAMES_PER_S: Final = 60
@@ -357,7 +327,7 @@ FINEST_NS: Final = 1000
 
 
 class ForceHistory:
-    """A ring of force samples with increasing stamps.
+    """The latest force samples, with increasing stamps.
 
     Attributes:
         out_of_order: Samples dropped because they had no stamp (0), it did not increase by a
@@ -371,24 +341,20 @@ class ForceHistory:
     """
 
     def __init__(self, span_s: float, capacity: int) -> None:
-        self.out_of_order = 0
-        self.restarts = 0
-        self.dropped = 0
+        self.out_of_order = self.restarts = self.dropped = 0
         self._span_ns = round(span_s * 1e9)
-        self._t_ns = np.zeros(capacity, np.int64)
-        self._force = np.zeros((capacity, 3))
-        self._count = self._refused = 0
+        self._samples: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=capacity)
+        self._refused = 0
 
     def push(self, t_ns: int, force: tuple[float, float, float]) -> bool:
-        """Add a sample; return whether it was taken.
+        """Add a sample; return whether it was kept.
 
         Args:
             t_ns: Stamp, reference clock [ns].
             force: Force (x, y, z) [N].
         """
-        late_ns = (
-            self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -FINEST_NS
-        )
+        samples = self._samples
+        late_ns = samples[-1][0] - t_ns if samples else -FINEST_NS
         sound = t_ns != 0 and bool(np.isfinite(force).all())
         self._refused += sound and late_ns > 0
         restarted = late_ns > 1000 * RESTART_US or self._refused > MOST_REFUSED
@@ -397,21 +363,16 @@ class ForceHistory:
             return False
         if late_ns >= 0:
             self.restarts += 1
-            self._count = 0
+            samples.clear()
         self._refused = 0
-        slot = self._count % len(self._t_ns)
-        if self._count >= len(self._t_ns) and self._t_ns[slot] >= t_ns - self._span_ns:
+        if len(samples) == samples.maxlen and samples[0][0] >= t_ns - self._span_ns:
             self.dropped += 1
-        self._t_ns[slot] = t_ns
-        self._force[slot] = force
-        self._count += 1
+        samples.append((t_ns, force))
         return True
 
     def snapshot(self, axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times (reference clock [s]) and forces [N] along an axis, oldest first."""
-        size = len(self._t_ns)
-        slots = np.arange(max(0, self._count - size), self._count) % size
-        t_ns = self._t_ns[slots]
-        recent = slots[t_ns >= t_ns[-1] - self._span_ns] if len(t_ns) else slots
-        seconds = np.asarray(self._t_ns[recent] / 1e9, np.float64)
-        return seconds, np.asarray(self._force[recent, 'xyz'.index(axis)])
+        t_ns = np.array([t for t, _ in self._samples], np.int64)
+        force = np.array([force for _, force in self._samples], np.float64).reshape(-1, 3)
+        recent = t_ns >= (t_ns[-1] if len(t_ns) else 0) - self._span_ns
+        return t_ns[recent] / 1e9, force[recent, 'xyz'.index(axis)]

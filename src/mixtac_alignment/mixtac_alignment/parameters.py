@@ -55,26 +55,6 @@ class AlignmentParameters:
     use_edges: bool = parameter(False)
     use_all: bool = parameter(False)
 
-    @property
-    def max_drift_rate(self) -> float:
-        """Largest believable ``|a - 1|``."""
-        return self.max_drift * 1e-6
-
-    @property
-    def tap_latency_s(self) -> float:
-        """Delay of the events of a tap that is fitted as a whole [s]."""
-        return self.tap_latency * 1e-3
-
-    @property
-    def tap_latency_std_s(self) -> float:
-        """Standard deviation of `tap_latency_s` from sensor to sensor [s]."""
-        return self.tap_latency_std * 1e-3
-
-    @property
-    def drift_std_rate(self) -> float:
-        """Prior standard deviation of ``a - 1``; 0 for no prior."""
-        return self.drift_std * 1e-6
-
 
 DEFAULTS = AlignmentParameters()
 

@@ -33,10 +33,16 @@ from numpy.typing import NDArray
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
-from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, ImpulsePair, strongest
+from mixtac_alignment.impulses import (
+    FORCE_GAP_S,
+    MIN_SPACING_S,
+    Impulse,
+    ImpulsePair,
+    paired_impulses,
+    strongest,
+)
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.signals import even_force, gaussian_smooth, pressing_sign, prominent_peaks
-from mixtac_alignment.two_impulse import FORCE_GAP_S, paired_impulses
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""
@@ -327,7 +333,7 @@ def fit_taps(
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
-        AlignmentError: As `two_impulse.paired_impulses`, or taps whose events do not follow the
+        AlignmentError: As `impulses.paired_impulses`, or taps whose events do not follow the
             force.
     """
     pairs, start_s = paired_impulses(
@@ -352,15 +358,15 @@ def fit_taps(
                 f'of the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, '
                 'sharply'
             )
-        at_us = expected_us + round(1e6 * (found.delay_s - parameters.tap_latency_s))
+        at_us = expected_us + round(1e6 * (found.delay_s - 1e-3 * parameters.tap_latency))
         anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
     fit = fit_clock(
         anchors,
         min_baseline_s=parameters.min_baseline,
-        max_drift=parameters.max_drift_rate,
-        common_std_s=parameters.tap_latency_std_s,
+        max_drift=1e-6 * parameters.max_drift,
+        common_std_s=1e-3 * parameters.tap_latency_std,
     )
-    return with_drift_prior(fit, parameters.drift_std_rate)
+    return with_drift_prior(fit, 1e-6 * parameters.drift_std)
 
 
 def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:

@@ -19,9 +19,9 @@ from mixtac_alignment.errors import (
     ShortBaselineError,
 )
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameHistory, by_cell, reduce_frame
+from mixtac_alignment.impulses import paired_impulses
 from mixtac_alignment.parameters import DEFAULTS
 from mixtac_alignment.taps import find_bursts
-from mixtac_alignment.two_impulse import paired_impulses
 
 NO_EVENTS = CellEvents(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.bool_))
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The alignment node as a process: a simulated trial and edges of a trigger line over topics."""
+"""The alignment node as a process: a simulated trial over topics."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Peer:
     def __init__(self, graph: Any) -> None:
         from event_camera_msgs.msg import EventPacket
         from geometry_msgs.msg import WrenchStamped
-        from sensor_msgs.msg import Image, TimeReference
+        from sensor_msgs.msg import Image
 
-        from mixtac_msgs.msg import ClockFit, ExternalEdge, FrameExposure
+        from mixtac_msgs.msg import ClockFit, FrameExposure
         from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
 
         self.graph = graph
@@ -49,8 +49,6 @@ class Peer:
                 ('/mixtac/image_raw', Image, QOS_FORCE),
                 ('/mixtac/image_exposure', FrameExposure, QOS_FORCE),
                 ('/ft_sensor/wrench', WrenchStamped, QOS_FORCE),
-                ('/mixtac/external_edges', ExternalEdge, QOS_FORCE),
-                ('/mixtac/reference_edges', TimeReference, QOS_FORCE),
             )
         }
         self.fits = graph.listen(ClockFit, '/mixtac/clock_fit', QOS_LATCHED)
@@ -143,6 +141,8 @@ def test_a_trial_with_frames_is_aligned(node_under_test: Any) -> None:
     peer = Peer(node_under_test)
     trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)
     peer.wait_for_node()
+    refused, _ = peer.fit()
+    assert not refused.success
     for pause_s in PAUSES_S:
         peer.play(trial, pause_s)
         time.sleep(0.5)
@@ -157,23 +157,3 @@ def test_a_trial_with_frames_is_aligned(node_under_test: Any) -> None:
     error_s = fit.to_reference(camera_us) - 1e-6 * shown_us
     assert np.abs(error_s).max() < 2e-3
     assert np.all(np.abs(error_s) < 4.0 * fit.std_at(camera_us))
-
-
-def test_edges_serve_in_place_of_taps(node_under_test: Any) -> None:
-    node_under_test.start('mixtac_alignment.alignment_node', 'use_edges:=true')
-    peer = Peer(node_under_test)
-    peer.wait_for_node()
-    refused, _ = peer.fit()
-    assert not refused.success
-    assert 'external_edges' in refused.message
-    for at_us in np.cumsum(np.random.default_rng(1).integers(300_000, 900_000, 20)):
-        peer.send('/mixtac/external_edges', header__stamp=stamp_of(int(at_us)))
-        other = stamp_of(round(float(at_us) * (1.0 + 3e-5)) + 7_000_000)
-        peer.send('/mixtac/reference_edges', time_ref=other)
-        time.sleep(0.01)
-    time.sleep(0.5)
-    answer, fit = peer.fit()
-    assert answer.success, answer.message
-    assert fit is not None
-    assert fit.drift_ppm == pytest.approx(30.0, abs=1.0)
-    assert float(fit.to_reference(5_000_000)) == pytest.approx(12.00015, abs=5e-6)

@@ -130,15 +130,6 @@ def test_weights_favour_the_sharper_anchors() -> None:
     assert fit.residuals_s[1] == pytest.approx(0.01, abs=1e-4)
 
 
-def test_the_offset_of_the_paper() -> None:
-    fit = fit_clock([Anchor(2_000_000, 7.0, 1e-3), Anchor(12_000_000, 17.001, 1e-3)])
-    for t_us in (0, 5_000_000, 30_000_000):
-        expected = fit.a * t_us * 1e-6 + fit.paper_offset_s
-        assert float(fit.to_reference(t_us)) == pytest.approx(expected, abs=1e-12)
-    assert fit.drift_ppm == pytest.approx(100.0)
-    assert '+100.0' in fit.summary()
-
-
 def test_refusals_name_the_reason() -> None:
     with pytest.raises(NoImpulseError):
         fit_clock([Anchor(0, 0.0, 1e-3)])

@@ -11,9 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_alignment.errors import GapError
+from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.impulses import (
     Impulse,
     find_force_impulses,
+    mark_gaps,
+    prefer_isolated,
+    require_continuous,
     strongest,
     vertex,
 )
@@ -60,3 +65,37 @@ def test_force_peaks_lie_between_the_samples(scene: Any, seed: int) -> None:
 def test_slow_presses_are_no_impulses(scene: Any) -> None:
     _, t, force = scene(taps_s=(), heights=()).recording()
     assert find_force_impulses(t - t[0], force) == []
+
+
+@pytest.mark.parametrize(
+    ('taps', 'hold', 'wanted'),
+    [
+        ({1.0: 1.0, 5.0: 9.0, 5.2: 7.0, 5.37: 5.0, 5.5: 4.0, 10.0: 1.2}, 0.0, [1.0, 10.0]),
+        ({1.0: 1.0, 6.0: 1.0, 10.0: 1.0}, 0.8, [1.0, 10.0]),
+        ({1.0: 1.0, 1.2: 1.0, 5.0: 1.0, 5.2: 1.0}, 0.0, [1.0, 1.2, 5.0, 5.2]),
+    ],
+)
+def test_taps_that_stand_alone_are_preferred(
+    taps: dict[float, float], hold: float, wanted: list[float]
+) -> None:
+    time = np.arange(0.0, 12.0, 0.00125)
+    height = sum(h * np.exp(-0.5 * ((time - at) / 0.008) ** 2) for at, h in taps.items())
+    height = height + 0.01 * np.sin(700 * time) + hold * ((time > 4.0) & (time < 7.0))
+    found = prefer_isolated([Impulse(at, 1e-4, 1.0) for at in taps], time, height)
+    assert [each.time_s for each in found] == wanted
+
+
+def test_silence_that_noise_makes_impossible_is_lost_data() -> None:
+    counts = np.random.default_rng(0).poisson(10.0, 2000).astype(np.int64)
+    counts[500:900] = 0
+    assert mark_gaps(EventCounts(0, 500, counts)).lost == ((500, 900),)
+    quiet = np.zeros(2000, np.int64)
+    quiet[::100] = 1
+    assert mark_gaps(EventCounts(0, 500, quiet)).lost == ()
+
+
+def test_a_gap_in_the_force_is_refused() -> None:
+    t = np.arange(0.0, 5.0, 1.0 / 800.0)
+    require_continuous(np.delete(t, [100, 101]))
+    with pytest.raises(GapError):
+        require_continuous(np.where(t > 2.0, t + 0.2, t))

@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mixtac_alignment import taps
-from mixtac_alignment.histories import CellEvents, EventHistory, by_cell
+from mixtac_alignment.histories import CellEvents
 from mixtac_alignment.taps import TapModel, brightening, common_course, tap_signal
-from mixtac_events.arrays import Events
 
 CELLS = 60
 
@@ -139,31 +136,3 @@ def test_cells_that_follow_the_depth_weigh_more_than_noise() -> None:
     weight = brightening(values.astype(np.float32), depth)
     assert weight[0] > 0.0 > weight[1]
     assert abs(weight[2]) < 0.1 * abs(weight[1])
-
-
-@given(x=st.lists(st.integers(0, 345), min_size=1, max_size=50), y=st.integers(0, 259))
-def test_events_fall_into_the_cells_of_the_frames(x: list[int], y: int) -> None:
-    n = len(x)
-    events = Events(
-        np.arange(n, dtype=np.int64),
-        np.array(x, np.uint16),
-        np.full(n, y, np.uint16),
-        np.ones(n, np.bool_),
-    )
-    cells = by_cell(events, 346, 260).cell
-    for column, cell in zip(x, cells, strict=True):
-        assert int(cell) == (65_535 if column >= 340 else y // 10 * 34 + column // 10)
-
-
-def test_history_is_bounded_and_says_what_it_dropped() -> None:
-    history = EventHistory(span_s=1.0, most=250)
-    for k in range(5):
-        t = np.arange(100, dtype=np.int64) + 1000 * k
-        history.push(CellEvents(t, np.zeros(100, np.uint16), np.ones(100, np.bool_)))
-    assert len(history.snapshot().t_us) == 200
-    assert history.dropped == 300
-    late = np.array([3_000_000], np.int64)
-    history.push(CellEvents(late, np.zeros(1, np.uint16), np.ones(1, np.bool_)))
-    assert history.snapshot().t_us.tolist() == [3_000_000]
-    history.push(CellEvents(late - 2_500_000, np.zeros(1, np.uint16), np.ones(1, np.bool_)))
-    assert history.snapshot().start_us == 500_000

@@ -12,7 +12,6 @@ from typing import Annotated, Final, cast
 
 import numpy as np
 import typer
-from matplotlib.axes import Axes
 from rich.console import Console
 from rich.progress import track
 
@@ -159,7 +158,7 @@ def align_bag(
 
 
 def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) -> None:
-    """Save the figure of an alignment.
+    """Draw event rate and aligned force about the first and the last anchor.
 
     Args:
         path: File to write; its suffix gives the format.
@@ -170,64 +169,20 @@ def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) 
     Raises:
         FileError: The file cannot be written.
     """
-    figure, axes = new_axes(columns=2, rows=2, width=11.0, height=6.0)
+    figure, axes = new_axes(columns=2, width=11.0)
     figure.suptitle(f'{title}: {fit.method}, {fit.summary()}', x=0.01, ha='left', fontsize=11)
-    _whole(axes[0], recording, fit, aligned=False)
-    _whole(axes[1], recording, fit, aligned=True)
-    _close(axes[2], recording, fit, 0)
-    _close(axes[3], recording, fit, -1)
-    save_figure(figure, path)
-
-
-def _streams(
-    axis: Axes,
-    recording: Recording,
-    fit: ClockFit,
-    start_s: float,
-    end_s: float,
-    *,
-    aligned: bool,
-) -> None:
-    """Draw event rate and force from start to end, in seconds since the first event."""
     counts = recording.counts
-    t = (np.arange(len(counts.counts)) + 0.5) * counts.width_us * 1e-6
-    shown = (t >= start_s) & (t <= end_s)
-    axis.plot(t[shown], counts.counts[shown] / counts.width_us, color=EVENTS, lw=0.6)
-    axis.set_ylabel('event rate [Mev/s]', color=EVENTS)
-    if aligned:
-        force_t = (fit.to_camera(recording.force_t_s) - counts.start_us) * 1e-6
-    else:
-        force_t = recording.force_t_s - counts.start_us * 1e-6
-        if abs(force_t[0]) > 60.0:
-            force_t = recording.force_t_s - recording.force_t_s[0]
-    shown = (force_t >= start_s) & (force_t <= end_s)
-    force = axis.twinx()
-    force.spines['top'].set_visible(False)
-    force.plot(force_t[shown], recording.force[shown], color=REFERENCE, lw=0.9)
-    force.set_ylabel('force [N]', color=REFERENCE)
-
-
-def _whole(axis: Axes, recording: Recording, fit: ClockFit, *, aligned: bool) -> None:
-    end_s = len(recording.counts.counts) * recording.counts.width_us * 1e-6
-    _streams(axis, recording, fit, -5.0, end_s + 5.0, aligned=aligned)
-    axis.set_title(
-        'after: both on the camera clock' if aligned else 'before: each on its own clock'
-    )
-    axis.set_xlabel('time since the first event [s]')
-    if aligned:
-        _anchors(axis, recording, fit)
-
-
-def _close(axis: Axes, recording: Recording, fit: ClockFit, which: int) -> None:
-    at_s = (fit.anchors[which].camera_us - recording.counts.start_us) * 1e-6
-    _streams(axis, recording, fit, at_s - CLOSE_S, at_s + CLOSE_S, aligned=True)
-    _anchors(axis, recording, fit)
-    axis.set_xlim(at_s - CLOSE_S, at_s + CLOSE_S)
-    axis.set_title('first anchor' if which == 0 else 'last anchor')
-    axis.set_xlabel('time since the first event [s]')
-
-
-def _anchors(axis: Axes, recording: Recording, fit: ClockFit) -> None:
-    for anchor in fit.anchors:
-        at_s = (anchor.camera_us - recording.counts.start_us) * 1e-6
+    event_s = (np.arange(len(counts.counts)) + 0.5) * counts.width_us * 1e-6
+    force_s = (fit.to_camera(recording.force_t_s) - counts.start_us) * 1e-6
+    for axis, anchor in zip(axes, (fit.anchors[0], fit.anchors[-1]), strict=True):
+        at_s = (anchor.camera_us - counts.start_us) * 1e-6
+        shown = np.abs(event_s - at_s) < CLOSE_S
+        axis.plot(event_s[shown], counts.counts[shown] / counts.width_us, color=EVENTS, lw=0.6)
+        axis.set_ylabel('event rate [Mev/s]', color=EVENTS)
+        axis.set_xlabel('time since the first event [s]')
         axis.axvline(at_s, color=MARK, lw=0.8, ls='--')
+        shown = np.abs(force_s - at_s) < CLOSE_S
+        force = axis.twinx()
+        force.plot(force_s[shown], recording.force[shown], color=REFERENCE, lw=0.9)
+        force.set_ylabel('force [N]', color=REFERENCE)
+    save_figure(figure, path)

@@ -9,11 +9,10 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Console
 
-from mixtac_cli.figures import FORCE, REFERENCE, make_table, new_axes, save_figure
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
 from mixtac_driver.camera_info import check_model, resolve, write_camera_info
@@ -34,6 +33,8 @@ IMAGE_TIMEOUT_S = 20.0
 """Longest time without an image [s]."""
 START_TIMEOUT_S = 60.0
 """Longest time to the first image of a driver that is started [s]."""
+BAG_PERIOD_NS = 200_000_000
+"""Least time between two images of a bag that are searched for the board [ns]."""
 CAMERA_NAME = 'davis346'
 TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
 HINTS = {
@@ -70,19 +71,7 @@ def calibrate(
     out: Annotated[
         OptionalPath, typer.Option(help='File to write; by default where the driver reads it.')
     ] = None,
-    figure: Annotated[
-        OptionalPath, typer.Option(help='Draw corners and errors to this PNG or PDF file.')
-    ] = None,
     json: JsonFile = None,
-    seconds: Annotated[
-        float,
-        typer.Option(
-            min=0, help='Longest time to collect live images (s); 0 until enough or Ctrl-C.'
-        ),
-    ] = 0.0,
-    rate: Annotated[
-        float, typer.Option(min=0, help='Images per second of a recording to use; 0 for all.')
-    ] = 5.0,
 ) -> None:
     """Calibrate the camera with a checkerboard and write a camera_info file."""
     from mixtac_driver.calibration import Board, ViewSelection, find_board
@@ -92,15 +81,14 @@ def calibrate(
     check_model(model)
     wanted, out = Board.parse(board, square), out or resolve('', name)
     selection, seen, found = ViewSelection(), 0, 0
-    images = bag_images(bag, topic, rate) if bag is not None else live_images(topic, device)
-    end_s = time.monotonic() + seconds if seconds and bag is None else float('inf')
+    images = bag_images(bag, topic) if bag is not None else live_images(topic, device)
     try:
         for label, image in images:
             view = find_board(image, wanted, label)
             seen, found = seen + 1, found + (view is not None)
             if view is not None and selection.offer(view):
                 console.print(_progress(selection, label))
-            if bag is None and (selection.complete or time.monotonic() > end_s):
+            if bag is None and selection.complete:
                 break
     except KeyboardInterrupt:
         console.print('calibrating with the views collected so far')
@@ -113,24 +101,20 @@ def calibrate(
     comment = f'mixtac calibrate: {len(solution.views)} views, error {solution.rms_px:.3f} px'
     write_camera_info(out, solution.calibration, comment)
     console.print(f'written to {out}')
-    if figure is not None:
-        draw_calibration(figure, solution)
     write_json(json, _summary(solution, seen, found))
 
 
-def bag_images(path: Path, topic: str, rate_hz: float) -> Images:
-    """Yield label and grey levels of the images of a bag.
+def bag_images(path: Path, topic: str) -> Images:
+    """Yield label and grey levels of five images per second of a bag.
 
     Args:
         path: Folder of the bag.
         topic: Topic of the images.
-        rate_hz: Most images per second of the recording [Hz]; 0 for all.
 
     Raises:
         RecordingError: No bag, no such topic, no images on it, or damaged ones.
     """
-    period_ns = 1e9 / rate_hz if rate_hz > 0.0 else 0.0
-    next_ns = 0.0
+    next_ns = 0
     with BagFile(path) as bag:
         kind = bag.types.get(topic)
         if kind not in (None, IMAGE_RAW.type_name):
@@ -139,7 +123,7 @@ def bag_images(path: Path, topic: str, rate_hz: float) -> Images:
             # Tolerate half a millisecond of jitter.
             if received_ns < next_ns - 500_000:
                 continue
-            next_ns = received_ns + period_ns
+            next_ns = received_ns + BAG_PERIOD_NS
             yield labelled(message)
 
 
@@ -222,25 +206,7 @@ def _summary(solution: Solution, seen: int, found: int) -> dict[str, Any]:
         'removed_views': [view.label for view, _ in solution.removed],
         'coverage': coverage(solution.views),
         'reprojection_error_px': {'rms': solution.rms_px, 'max': float(solution.view_rms_px.max())},
-        'view_error_px': solution.view_rms_px.tolist(),
         'parameters': {name: value for name, (value, _) in parameters.items()},
         'standard_deviations': {name: each for name, (_, each) in parameters.items()},
         'projection': solution.calibration.projection.ravel().tolist(),
     }
-
-
-def draw_calibration(path: Path, solution: Solution) -> None:
-    """Save a figure of the corners on the image.
-
-    Raises:
-        FileError: The file cannot be written, or its suffix names no format.
-    """
-    calibration = solution.calibration
-    figure, (axes,) = new_axes(columns=1, width=6.0, height=4.5)
-    corners = np.concatenate([view.corners for view in solution.views])
-    axes.plot(*corners.T, '.', color=REFERENCE, ms=2)
-    axes.plot(*calibration.camera_matrix[:2, 2], '+', color=FORCE, ms=12, mew=2)
-    axes.set(xlim=(0, calibration.width), ylim=(calibration.height, 0), aspect='equal')
-    axes.set(xlabel='column [px]', ylabel='row [px]')
-    axes.set_title(f'{calibration.model}: {solution.rms_px:.3f} px')
-    save_figure(figure, path)

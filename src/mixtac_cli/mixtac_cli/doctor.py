@@ -5,33 +5,29 @@
 from __future__ import annotations
 
 import importlib
-import io
 import json as json_format
 import math
 import os
 import sys
-import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from mixtac_cli.options import JsonFile, OptionalPath
-from mixtac_driver.camera import Davis346
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.doctor import (
     Finding,
     Level,
-    Measurement,
+    RawData,
     check_attached,
     check_computer,
     check_running,
@@ -41,7 +37,7 @@ from mixtac_driver.doctor import (
 )
 from mixtac_driver.parameters import DriverParameters
 from mixtac_events.errors import MixtacError
-from mixtac_node.files import replacing, state_file, writable, write_json
+from mixtac_node.files import replacing, writable, write_json
 from mixtac_node.parameters import parameter_file
 
 VIRTUAL = 'virtual'
@@ -50,8 +46,6 @@ SAFE_DOMAINS = range(102)
 SEED = 1001
 """Seed of the virtual sensor that is started for a check, and of its noise."""
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
-MOST_WORDS = 64 << 20
-"""Largest raw data in a bundle [bytes]."""
 
 
 def doctor(
@@ -93,24 +87,6 @@ def doctor(
         console.print(f'written to {escape(str(bundle))}', soft_wrap=True)
     if level is Level.ERROR:
         raise typer.Exit(1)
-
-
-@dataclass
-class RawData:
-    """What a camera sent while it was measured.
-
-    Attributes:
-        words: Its bytes, as the decoder reads them; the first `MOST_WORDS`.
-        registers: Value by `module:parameter`.
-    """
-
-    words: io.BytesIO = field(default_factory=io.BytesIO)
-    registers: dict[str, int] = field(default_factory=dict)
-
-    def add(self, data: bytes) -> None:
-        """Append the data of a transfer."""
-        if self.words.tell() < MOST_WORDS:
-            self.words.write(data)
 
 
 def write_bundle(path: Path, report: dict[str, Any], p: DriverParameters, raw: RawData) -> None:
@@ -165,27 +141,17 @@ def examine(
     """
     check_device(p.device)
 
-    def more(camera: Davis346, measured: Measurement) -> Finding:
-        if raw is not None:
-            raw.registers = camera.control.registers()
-        return check_zero(camera.identity.serial, measured)
-
-    def running(backend: Any) -> list[Finding]:  # noqa: ANN401
-        on_transfer = None if raw is None else raw.add
-        options: dict[str, Any] = {'more': more, 'on_transfer': on_transfer}
-        return list(check_running(p, seconds, backend=backend, **options))
-
     yield 'software', [check_ros(os.environ), check_domain(os.environ), check_model()]
     if is_real(p.device):
         attached = check_attached(p.serial, root)
         yield 'camera', attached
         if worst(attached) < Level.ERROR:
-            yield 'measured', running(None)
+            yield 'measured', list(check_running(p, seconds, raw))
     else:
         with virtual_camera(p.device) as (backend, finding):
             yield 'camera', [finding]
             if backend is not None:
-                yield 'measured', running(backend)
+                yield 'measured', list(check_running(p, seconds, raw, backend))
     yield 'computer', check_computer(Path.cwd(), root)
 
 
@@ -244,59 +210,6 @@ def check_model() -> Finding:
     except MixtacError as error:
         return Finding('model', Level.ERROR, error.message, error.remedy)
     return ok('model', str(path))
-
-
-def check_zero(serial: str, measured: Measurement) -> Finding:
-    """Compare what the camera sees with the kept no-contact reference of its serial number.
-
-    Args:
-        serial: Serial number of the camera.
-        measured: Its latest frames are compared; nothing may touch the sensor.
-    """
-    from mixtac_fger.estimator import open_estimator
-    from mixtac_fger.live_feed import MOST_DRIFT_N
-    from mixtac_fger.pictures import picture_findings
-    from mixtac_fger.reference import reference_name
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
-    from mixtac_fger.zero import CONTACT
-    from mixtac_recordings.messages import left_aligned
-
-    name, path = 'zero', state_file(reference_name(serial) or 'none')
-    tare = 'touch the sensor, release it and call ~/tare'
-    if not path.exists():
-        text = f'none is kept for this camera: {tare}, unless assume_free is set'
-        return ok(name, text, kept=False)
-    try:
-        estimator = open_estimator(read_model(find_model(DEFAULT_MODEL)))
-        assert estimator.reference is not None  # noqa: S101  (the shipped model has one)
-        estimator.reference.load(path)
-        seen = [
-            frame
-            for each in measured.latest
-            if (frame := estimator.encode(left_aligned(each.image), each.middle_us)) is not None
-        ]
-    except MixtacError as error:
-        return Finding(name, Level.WARN, error.message, error.remedy)
-    days = (time.time() - path.stat().st_mtime) / 86_400.0
-    found = f'kept {days:.1f} days ago'
-    if not seen or seen[-1].picture is None:
-        return Finding(name, Level.WARN, f'{found}; no frame to compare it with', tare)
-    picture, force_n = seen[-1].picture, float(np.mean([frame.force for frame in seen]))
-    values: dict[str, Any] = {
-        'kept': True,
-        'age [d]': round(days, 2),
-        'force [N]': round(force_n, 3),
-        'likeness': round(picture.likeness, 3),
-        'outward [bins]': round(picture.outward, 4),
-    }
-    found += f'; the picture shows {force_n:+.3f} N against it'
-    wrong = [reason.text for reason in sorted(picture_findings(picture))]
-    if abs(picture.outward) > CONTACT:
-        wrong.append('something touches the sensor: release it and try again')
-    if abs(force_n) > MOST_DRIFT_N:
-        wrong.append(f'the zero has drifted: {tare}')
-    level = Level.WARN if wrong else Level.OK
-    return Finding(name, level, found, wrong[0] if wrong else '', values)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from mixtac_cli.figures import EVENTS, FORCE, MARK, REFERENCE, new_figure, save_figure
+from mixtac_cli.figures import MARK, REFERENCE, new_axes, save_figure
 
 FALLEN_MM: Final = 5.0
 """An object that moves farther is lost [mm]: the contact of the fingertip is 12 mm wide."""
@@ -127,25 +127,21 @@ def draw_impacts(impacts: Sequence[Impact], path: Path) -> None:
     Raises:
         FileError: The file cannot be written.
     """
+    figure, (upper, lower) = new_axes(rows=2, width=9.0, height=6.0)
     held = sum(each.held for each in impacts)
-    title = f'Slip control on a simulated grasp: {held} of {len(impacts)} impacts held'
-    figure = new_figure(9, 6, title)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    upper.set_title(f'Simulated grasp: {held} of {len(impacts)} impacts held (red: fallen)')
     for impact in impacts:
-        for axes, rows, zero, colour in (
-            (upper, impact.places, impact.start_mm, REFERENCE if impact.held else MARK),
-            (lower, impact.advances, 0.0, FORCE),
+        colour = REFERENCE if impact.held else MARK
+        for axes, rows, zero in (
+            (upper, impact.places, impact.start_mm),
+            (lower, impact.advances, 0.0),
         ):
-            shown = [each for each in rows if each[0] <= impact.struck_s + SHOWN_S]
-            times = [1e3 * (t - impact.struck_s) for t, _ in shown]
-            axes.plot(times, [place - zero for _, place in shown], color=colour, alpha=0.7)
-        if impact.detected_s is not None:
-            upper.axvline(1e3 * (impact.detected_s - impact.struck_s), color=EVENTS, lw=0.5)
-    top = min(max((each.moved_mm for each in impacts), default=1.0), 2.0 * FALLEN_MM)
-    upper.set(ylabel='object, downwards [mm]', ylim=(1.1 * top, -0.1 * top))
+            shown = [
+                (1e3 * (t - impact.struck_s), place - zero)
+                for t, place in rows
+                if t <= impact.struck_s + SHOWN_S
+            ]
+            axes.plot(*zip(*shown, strict=True), color=colour, alpha=0.7)
+    upper.set_ylabel('object, downwards [mm]')
     lower.set(ylabel='arm, wanted advance [mm]', xlabel='time since the impact [ms]')
-    upper.text(
-        0.99, 0.95, 'grey: slip detected; red: fallen', transform=upper.transAxes, ha='right',
-        va='top', fontsize=8,
-    )  # fmt: skip
     save_figure(figure, path)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import io
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import typer
@@ -19,7 +19,6 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from mixtac_events.errors import MixtacError, error_line
-from mixtac_learning.experiments import EXPERIMENTS
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -41,7 +40,7 @@ COMMANDS = {
     'demo': 'mixtac_cli.demo.command:demo',
     'doctor': 'mixtac_cli.doctor:doctor',
     'evaluate': 'mixtac_learning.commands:evaluate',
-    'experiments': {'': experiments, **EXPERIMENTS},
+    'experiments': 'mixtac_learning.experiments:EXPERIMENTS',
     'export': 'mixtac_cli.export:export',
     'import': 'mixtac_cli.export:import_',
     'inspect': 'mixtac_cli.export:inspect',
@@ -52,7 +51,10 @@ COMMANDS = {
     'up': {'': 'mixtac_cli.up:up', 'slip': 'mixtac_cli.up:slip'},
     'view': 'mixtac_cli.up:view',
 }
-"""Function of each command as `module:name`; a dictionary is a group, with its function at ''."""
+"""Function of each command as `module:name`; a dictionary is a group, with its function at ''.
+
+A name may also be that of such a dictionary: robots have no experiments.
+"""
 
 
 class Commands(TyperGroup):
@@ -82,26 +84,28 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
         target: One of the values of `COMMANDS`, or all of it.
     """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    if isinstance(target, str):
-        app.command(name)(load(target))
+    found = load(target) if isinstance(target, str) else target
+    if callable(found):
+        app.command(name)(found)
     else:
-        cls = type('Group', (Commands,), {'targets': target})
-        works = isinstance(target[''], str)
-        function = load(target['']) if works else target['']
+        cls = type('Group', (Commands,), {'targets': found})
+        first = found.get('', experiments)
+        works = isinstance(first, str)
+        function = load(first) if works else first
         app.callback(cls=cls, invoke_without_command=works, no_args_is_help=not works)(function)
     command = get_command(app)
     command.name = name
     return command
 
 
-def load(target: str) -> Callable[..., Any]:
-    """Return the function that `module:name` names.
+def load(target: str) -> Any:  # noqa: ANN401
+    """Return the function, or the dictionary of commands, that `module:name` names.
 
     Where a package that it needs is not installed, the returned function raises an error about it.
     """
     module, _, name = target.partition(':')
     try:
-        return getattr(importlib.import_module(module), name)  # type: ignore[no-any-return]
+        return getattr(importlib.import_module(module), name)
     except ModuleNotFoundError as error:
         if error.name is None or (error.name.startswith('mixtac') and error.name in module):
             remedy = 'install the whole of Mixtac, not only the part for robots'

@@ -12,12 +12,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import rclpy
@@ -28,10 +27,10 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
+from mixtac_msgs.srv import Touch
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, starting
 from mixtac_node.graph import NodeSpec
@@ -40,11 +39,12 @@ from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.stamps import stamp_to_ns
 
 N = TypeVar('N', bound='CommandNode')
-SERVICE_TIMEOUT_S = 20.0
-DEPTH = 1000
+DEPTH: Final = 1000
 """Forces that may wait: those of two seconds in which the host has no time for the monitor."""
-FIRST_FORCE_TIMEOUT_S = 180.0
-"""The driver compiles, too, before its first packet."""
+MOST_HZ: Final = 1100
+"""Highest rate of forces and of the reference that `Monitor` keeps [Hz]."""
+REPORT_PERIOD_S: Final = 10.0
+"""Time between two lines on what is waited for [s]."""
 
 
 class CommandNode(BaseNode, Node):  # type: ignore[misc]
@@ -109,6 +109,47 @@ class Receiver(ExitStack):
             self._thread.join()
 
 
+class Series:
+    """Forces of one topic in the order of their arrival; one thread adds, any thread reads.
+
+    Args:
+        size: Most samples that are kept; later ones are only counted.
+
+    Attributes:
+        received: Samples so far.
+        latest_n: Latest normal force [N], NaN before the first.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.received = 0
+        self.latest_n = float('nan')
+        self._times_ns = np.zeros((2, size), np.int64)
+        self._force_n = np.zeros((size, 3))
+
+    def add(self, message: topics.ForceMessage) -> None:
+        """Add a sample that arrives now."""
+        place, self.latest_n = self.received, topics.normal_force(message)
+        if place < len(self._force_n):
+            self._times_ns[:, place] = time.time_ns(), stamp_to_ns(message.header.stamp)
+            self._force_n[place] = *topics.sideways_force(message), self.latest_n
+        self.received = place + 1
+
+    @property
+    def count(self) -> int:
+        """Number of samples kept."""
+        return min(self.received, len(self._force_n))
+
+    @property
+    def times_ns(self) -> NDArray[np.int64]:
+        """Arrival [ns, host clock] and stamp [ns] of each sample, shape (2, N), a view."""
+        return self._times_ns[:, : self.count]
+
+    @property
+    def force_n(self) -> NDArray[np.float64]:
+        """Force along x, y and normal of each sample [N], shape (N, 3), a view."""
+        return self._force_n[: self.count]
+
+
 class Monitor(Receiver):
     """Measures what the nodes of a sensor publish, and calls their services.
 
@@ -118,54 +159,41 @@ class Monitor(Receiver):
 
     Attributes:
         diagnostics: Latest values by node name and key.
-        reference_n: Latest reference force [N], NaN before the first.
+        estimate: Forces of the estimator, stamps on the camera clock.
+        measured: Forces of the reference sensor.
         serial: Serial number of the camera, empty before its first clock message.
     """
 
     def __init__(self, namespace: str, seconds: float) -> None:
         super().__init__('monitor', namespace)
-        size = int(600 * seconds) + 1000
-        self._arrival_ns = np.zeros(size, np.int64)
-        self._stamp_ns = np.zeros(size, np.int64)
-        self._force = np.zeros(size)
-        self._across = np.zeros((size, 2))
-        self._count = 0
+        size = int(MOST_HZ * seconds) + DEPTH
+        self.estimate, self.measured = Series(size), Series(size)
         self.diagnostics: dict[str, dict[str, str]] = {}
-        self.reference_n = float('nan')
-        self._clients: dict[str, Any] = {}
-        self._reference_ns = array('q')
-        self._reference = array('d')
-        self._reference_across = array('d')
         self.serial = ''
-        self._clock_pairs: list[tuple[int, int]] = []
+        self._clients: dict[str, Any] = {}
 
-    def bring_up(self, name: str, processes: ProcessGroup) -> None:
-        """Configure and activate a lifecycle node of these processes; before `listen`.
+    def bring_up_all(self, nodes: Sequence[NodeSpec], processes: ProcessGroup) -> None:
+        """Configure and activate the lifecycle nodes of these processes; before `listen`.
 
         Waits as long as the processes run: a first start compiles.
 
         Raises:
             GraphError: That failed.
         """
-        LifecycleClient(
-            self._node,
-            topics.absolute(name, self._namespace),
-            processes.check,
-            lambda: processes.last_error(name),
-            timeout_s=math.inf,
-        ).bring_up()
-
-    def bring_up_all(self, nodes: Sequence[NodeSpec], processes: ProcessGroup) -> None:
-        """Bring up the lifecycle nodes among these, as `bring_up` does."""
-        for node in nodes:
-            if node.lifecycle:
-                self.bring_up(node.name, processes)
+        for name in [node.name for node in nodes if node.lifecycle]:
+            LifecycleClient(
+                self._node,
+                topics.absolute(name, self._namespace),
+                processes.check,
+                partial(processes.last_error, name),
+                timeout_s=math.inf,
+            ).bring_up()
 
     def listen(self) -> None:
         """Subscribe and start receiving."""
         node = self._node
-        node.subscribe_topic(replace(topics.FORCE, depth=DEPTH), self._on_force)
-        node.subscribe_topic(topics.REFERENCE_WRENCH, self._on_reference)
+        node.subscribe_topic(replace(topics.FORCE, depth=DEPTH), self.estimate.add)
+        node.subscribe_topic(topics.REFERENCE_WRENCH, self.measured.add)
         node.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
         node.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
         self._thread.start()
@@ -174,9 +202,26 @@ class Monitor(Receiver):
         """Call a Trigger service by its relative name; before `listen` or while listening.
 
         Raises:
-            GraphError: It is absent or refuses.
+            GraphError: It refuses.
         """
-        reply = self._call(Trigger, service, Trigger.Request(), alive)
+        self._request(Trigger, service, Trigger.Request(), alive)
+
+    def touch(self, gesture: str, alive: Callable[[], None], **values: float) -> None:
+        """Touch the virtual sensor; before `listen` or while listening.
+
+        Args:
+            gesture: As in `mixtac_msgs/srv/Touch`.
+            alive: Called while waiting; raises when a process has ended.
+            **values: Fields of that request; those that are absent have their defaults.
+
+        Raises:
+            GraphError: The sensor is absent or refuses.
+        """
+        request = Touch.Request(gesture=gesture, **values)
+        self._request(Touch, 'virtual_sensor/touch', request, alive)
+
+    def _request(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> None:  # noqa: ANN401
+        reply = self._call(kind, service, request, alive)
         if not reply.success:
             raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 
@@ -186,7 +231,7 @@ class Monitor(Receiver):
         """Set parameters of a node of the sensor; before `listen` or while listening.
 
         Raises:
-            GraphError: The node is absent or refuses.
+            GraphError: The node refuses.
         """
         request = SetParameters.Request()
         request.parameters = [
@@ -201,19 +246,10 @@ class Monitor(Receiver):
         # One client for all calls: the answer to a new one can get lost while it is discovered.
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
-        client, name = self._clients[service], topics.absolute(service, self._namespace)
-        if not client.wait_for_service(timeout_sec=SERVICE_TIMEOUT_S):
-            raise GraphError(f'service {name} did not appear')
+        client = self._clients[service]
+        self.wait(client.service_is_ready, f'the service {service}', alive)
         future = client.call_async(request)
-        deadline = time.monotonic() + SERVICE_TIMEOUT_S
-        while not future.done():
-            alive()
-            if self._thread.is_alive():
-                time.sleep(0.02)
-            else:
-                rclpy.spin_once(self._node, timeout_sec=0.1)
-            if time.monotonic() > deadline:
-                raise GraphError(f'service {name} did not answer')
+        self.wait(future.done, f'the answer of {service}', alive)
         return future.result()
 
     def wait_for_force(self, check: Callable[[], None]) -> None:
@@ -221,19 +257,30 @@ class Monitor(Receiver):
 
         Args:
             check: Called while waiting; raises when a process has ended.
-
-        Raises:
-            GraphError: No force came; the text holds the last diagnostics of the estimator.
         """
-        deadline = time.monotonic() + FIRST_FORCE_TIMEOUT_S
-        while self.force_count == 0:
-            time.sleep(0.05)
-            check()
-            if time.monotonic() > deadline:
-                message = self.values('fger').get('message', 'none')
-                raise GraphError(
-                    f'no force in {FIRST_FORCE_TIMEOUT_S:.0f} s; diagnostics of fger: {message}'
-                )
+        self.wait(lambda: self.estimate.received > 0, 'the first force', check)
+
+    def wait(self, done: Callable[[], bool], what: str, alive: Callable[[], None]) -> None:
+        """Wait until `done` returns True. A busy computer is slow, so there is no time limit.
+
+        Args:
+            done: Called often.
+            what: What is waited for; shown every ten seconds with the messages of the nodes.
+            alive: Called often; raises when a process has ended.
+        """
+        began_s = time.monotonic()
+        due_s = began_s + REPORT_PERIOD_S
+        while not done():
+            alive()
+            if self._thread.is_alive():
+                time.sleep(0.02)
+            else:
+                rclpy.spin_once(self._node, timeout_sec=0.1)
+            if (now_s := time.monotonic()) > due_s:
+                due_s += REPORT_PERIOD_S
+                said = [f'{name}: {each["message"]}' for name, each in self.diagnostics.items()]
+                text = '; '.join([f'waiting for {what} for {now_s - began_s:.0f} s', *said])
+                self._node.get_logger().info(text)
 
     def values(self, node: str) -> dict[str, str]:
         """Return the latest diagnostics of a node of the sensor by key, and its `message`."""
@@ -241,61 +288,35 @@ class Monitor(Receiver):
 
     @property
     def force_count(self) -> int:
-        """Return the number of force samples received."""
-        return self._count
+        """Return the number of forces kept."""
+        return self.estimate.count
 
     def force(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
         """Return arrival [ns, host clock], stamp [ns, camera clock] and force [N], as views."""
-        n = self._count
-        return self._arrival_ns[:n], self._stamp_ns[:n], self._force[:n]
+        n = self.estimate.count
+        arrival_ns, stamp_ns = self.estimate.times_ns[:, :n]
+        return arrival_ns, stamp_ns, self.estimate.force_n[:n, 2]
 
     def sideways(self) -> NDArray[np.float64]:
         """Return the sideways force of each sample of `force` [N], [T, 2], as a view."""
-        return self._across[: self._count]
+        return self.estimate.force_n[:, :2]
 
     @property
     def reference_count(self) -> int:
-        """Return the number of reference samples received."""
-        return len(self._reference)
+        """Return the number of reference samples kept."""
+        return self.measured.count
 
     def reference(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return arrival [ns, host clock] and reference force [N]."""
-        n = len(self._reference)
-        return np.array(self._reference_ns[:n]), np.array(self._reference[:n])
+        """Return arrival [ns, host clock] and reference force [N], as views."""
+        n = self.measured.count
+        return self.measured.times_ns[0, :n], self.measured.force_n[:n, 2]
 
     def reference_sideways(self) -> NDArray[np.float64]:
-        """Return the force along x and y of each sample of `reference` [N], [T, 2]."""
-        n = 2 * len(self._reference)
-        return np.array(self._reference_across[:n]).reshape(-1, 2)
-
-    def clock_pairs(self) -> NDArray[np.int64]:
-        """Return (host, camera) clock pairs [ns], shape (N, 2), as the driver published them."""
-        return np.array(self._clock_pairs, np.int64).reshape(-1, 2)
-
-    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Return type and QoS of all publishers of an absolute topic."""
-        return list(self._node.get_publishers_info_by_topic(topic))
-
-    def _on_force(self, message: topics.ForceMessage) -> None:
-        arrival = time.time_ns()
-        i = self._count
-        if i == len(self._force):
-            return
-        self._arrival_ns[i] = arrival
-        self._stamp_ns[i] = stamp_to_ns(message.header.stamp)
-        self._force[i] = topics.normal_force(message)
-        self._across[i] = topics.sideways_force(message)
-        self._count = i + 1
-
-    def _on_reference(self, message: topics.ForceMessage) -> None:
-        self.reference_n = topics.normal_force(message)
-        self._reference_ns.append(time.time_ns())
-        self._reference_across.extend(topics.sideways_force(message))
-        self._reference.append(self.reference_n)
+        """Return the force along x and y of each sample of `reference` [N], [T, 2], as a view."""
+        return self.measured.force_n[:, :2]
 
     def _on_clock(self, message: TimeReference) -> None:
         self.serial = message.source
-        self._clock_pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -61,8 +61,7 @@ class SupervisorParameters:
         knock_every: Simulation only: smallest time between impacts on the object while slip control
             is enabled; 0 for no impacts.
         figure: File (.png or .pdf) for a picture of the impacts, written at the end; empty: none.
-        grip: Simulation only: close the grasp once the estimator knows its zero, and calibrate it
-            by the known force of the grasp.
+        grip: Simulation only: close the grasp once the estimator knows its zero.
     """
 
     knock_every: float = parameter(8.0, unit='s', within=(0.0, 3600.0))

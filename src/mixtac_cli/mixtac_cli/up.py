@@ -19,6 +19,7 @@ from typing import Annotated, Optional
 import typer
 from rich.console import Console
 
+from mixtac_cli.live_table import LiveTable
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
 from mixtac_cli.view.page import require_rerun
@@ -47,12 +48,20 @@ def start_nodes(
     params_file: Path | None = None,
     log_level: str = 'info',
 ) -> None:
-    """Start the processes of nodes; see `NodeSpec.command`.
+    """Start the processes of nodes, the driver last; see `NodeSpec.command`.
+
+    The driver of a virtual camera starts once that listens; else it reports a missing camera.
 
     Raises:
-        GraphError: A parameter file does not exist.
+        GraphError: A parameter file does not exist, or a process has ended.
     """
-    for each in nodes:
+    for each in sorted(nodes, key=lambda node: node.name == 'driver'):
+        device = str(each.overrides.get('device', ''))
+        if each.name == 'driver' and is_virtual(device):
+            from mixtac_sim.usb.wire import default_socket_path  # not installed on robots
+
+            while not Path(device.partition(':')[2] or default_socket_path()).exists():
+                run_until(processes, POLL_S)
         processes.start(each.name, each.command(namespace, params_file, log_level))
 
 
@@ -103,9 +112,15 @@ def up(
     if context.invoked_subcommand is not None:
         return
     from mixtac_driver.source import source_kind  # imports numba, which --help need not wait for
+    from mixtac_fger.weights import find_model, read_model
 
-    source_kind(device)  # refuses an unknown one before anything starts
-    estimator = _with_model(model) if model else None
+    # What cannot be used is refused before anything starts.
+    source_kind(device)
+    estimator = None
+    if model:
+        path = find_model(model).resolve()
+        read_model(path)
+        estimator = {'model': str(path)}
     if view:
         require_rerun()
     play = play and is_virtual(device)
@@ -119,49 +134,49 @@ def up(
         nodes.append(recorder(record))
     with ProcessGroup() as processes:
         start_nodes(processes, nodes, namespace, params_file, log_level)
-        if autostart:
-            _activate(namespace, nodes, processes, play=play)
-            Console(markup=False).print(
+        if not autostart:
+            run_until(processes, seconds)
+            return
+        with Monitor(namespace, seconds=0.0) as monitor:
+            monitor.bring_up_all(nodes, processes)
+            monitor.listen()
+            _await_estimate(monitor, processes)
+            if play:
+                monitor.trigger('virtual_sensor/play', processes.check)
+            console = Console(markup=False)
+            console.print(
                 f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
             )
+            if is_virtual(device) or console.is_terminal:
+                _show(console, monitor, processes, seconds, reference=is_virtual(device))
+                return
         run_until(processes, seconds)
 
 
-def _narrower(path: Path) -> Path:
-    """Write the shipped model with the deviation of one whose gain is known; return its path.
+def _await_estimate(monitor: Monitor, processes: ProcessGroup) -> None:
+    """Wait until forces are estimated; without a known zero they are not published."""
 
-    The supervisor finds the gain.
-    """
-    from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model, save_model
+    def estimates() -> bool:
+        rate_hz = float(monitor.values('fger').get('rate_hz', 0.0))
+        return monitor.estimate.received > 0 or rate_hz > 0.0
 
-    save_model(path, with_gain(read_model(find_model(DEFAULT_MODEL)), 1.0, CALIBRATED_DEVIATION))
-    return path
+    monitor.wait(estimates, 'the first force', processes.check)
 
 
-def _with_model(name: str) -> dict[str, object]:
-    """Return the estimator's parameters with a model.
-
-    Raises:
-        ModelError: It is missing or damaged.
-    """
-    from mixtac_fger.weights import find_model, read_model
-
-    path = find_model(name).resolve()
-    read_model(path)  # refused before anything starts
-    return {'model': str(path)}
-
-
-def _activate(
-    namespace: str, nodes: Sequence[NodeSpec], processes: ProcessGroup, *, play: bool
+def _show(
+    console: Console, monitor: Monitor, processes: ProcessGroup, seconds: float, *, reference: bool
 ) -> None:
-    with Monitor(namespace, seconds=60.0) as monitor:
-        monitor.bring_up_all(nodes, processes)
-        if play:
-            # The estimator needs the sensor without contact first.
-            monitor.listen()
-            monitor.wait_for_force(processes.check)
-            monitor.trigger('virtual_sensor/play', processes.check)
+    """Show the force in the terminal for some seconds [s]; 0 shows it until interrupted."""
+    end_s = time.monotonic() + seconds
+
+    def doing() -> str:
+        processes.check()
+        left_s = end_s - time.monotonic()
+        if not seconds:
+            return 'press Ctrl-C to stop'
+        return f'{left_s:.0f} s left' if left_s > 0.0 else ''
+
+    LiveTable(console, monitor, reference=reference).show(doing)
 
 
 def slip(
@@ -225,11 +240,11 @@ def slip(
             'grip': True,
             **simulated,
         }
-        # Whether the contact moves is not asked: it costs as much as the force.
-        model = str(_narrower(Path(folder) / 'calibrated.safetensors'))
-        estimator = {'autostart': True, 'contact': False, 'model': model}
+        # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
-            f'virtual:{socket}', estimator=estimator, simulated_time=True
+            f'virtual:{socket}',
+            estimator={'autostart': True, 'contact': False},
+            simulated_time=True,
         )
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),
@@ -237,13 +252,17 @@ def slip(
             node('mixtac_sim', 'virtual_arm', overrides=simulated),
             node('mixtac_cli', 'supervisor', overrides=supervisor),
             fger,
+            driver,
         ]
         start_nodes(processes, nodes)
         try:
-            # The driver would report that no camera is there.
-            while not socket.exists():
-                run_until(processes, POLL_S)
-            start_nodes(processes, [driver])
+            with Monitor(DEFAULT_NAMESPACE, seconds=0.0) as monitor:
+                monitor.listen()
+                monitor.wait(
+                    lambda: monitor.values('slip_control').get('state') == 'enabled',
+                    'slip control to be enabled',
+                    processes.check,
+                )
             run_until(processes, seconds)
         finally:
             for name in SLIP_STOP_ORDER:

@@ -7,9 +7,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import typer
@@ -22,7 +20,6 @@ from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses
 from mixtac_cli.calibrate import bag_images, calibrate
 from mixtac_driver.calibration import Refusal, RefusedError
 from mixtac_driver.camera_info import CalibrationError, read_camera_info
-from mixtac_node.images import ImageConversionError, grey
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.bag_writer import BagWriter
 from mixtac_recordings.recording import RecordingError
@@ -47,12 +44,12 @@ def image_message(types, image, stamp_ns, encoding='mono16'):
     )
 
 
-def write_bag(path, images, topic=TOPIC):
+def write_bag(path, images, topic=TOPIC, period_ns=PERIOD_NS):
     store = typestore()
     writer = BagWriter(path)
     connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', latched=False)
     for index, image in enumerate(images):
-        stamp = 10**9 + index * PERIOD_NS
+        stamp = 10**9 + index * period_ns
         message = image_message(store.types, image, stamp)
         data = store.serialize_cdr(message, 'sensor_msgs/msg/Image')
         writer.write(connection, stamp, bytes(data))
@@ -78,10 +75,9 @@ def run_cli(*arguments):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
-def test_a_bag_gives_a_camera_file_and_a_figure(tmp_path, bag):
+def test_a_bag_gives_a_camera_file(tmp_path, bag):
     result = run_cli(
         *(bag, '--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml'),
-        *('--figure', tmp_path / 'calibration.png'),
         *('--json', tmp_path / 'result.json'),
     )
     assert result.exit_code == 0, result.output
@@ -97,9 +93,6 @@ def test_a_bag_gives_a_camera_file_and_a_figure(tmp_path, bag):
     assert summary['images'] == 19
     assert summary['boards'] >= 13
     assert summary['views'] > 8
-    figure = cv2.imread(str(tmp_path / 'calibration.png'))
-    assert figure.shape[0] > 300
-    assert figure.std() > 10
     assert str(summary['boards']) in result.output
 
 
@@ -136,75 +129,14 @@ def test_wrong_options_are_named_before_anything_is_read(change, value):
 
 def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
     with pytest.raises(RecordingError) as caught:
-        list(bag_images(bag, '/other', 0.0))
+        list(bag_images(bag, '/other'))
     assert '/other' in str(caught.value)
     with pytest.raises(RecordingError) as caught:
-        list(bag_images(tmp_path / 'none', TOPIC, 0.0))
+        list(bag_images(tmp_path / 'none', TOPIC))
     assert str(tmp_path / 'none') in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4), (1e-320, 1)]
-)
-def test_a_recording_is_thinned_out(bag, rate, count):
-    labels = [label for label, _ in bag_images(bag, TOPIC, rate)]
-    assert len(labels) == count
-    assert labels[0] == '1.000'
-
-
-def raw(encoding, pixels, **change):
-    fields = {
-        'encoding': encoding,
-        'height': pixels.shape[0],
-        'width': pixels.shape[1],
-        'step': pixels.strides[0],
-        'is_bigendian': False,
-        'data': pixels.tobytes(),
-    }
-    return SimpleNamespace(**{**fields, **change})
-
-
-GREY16 = np.arange(60, dtype=np.uint16).reshape(6, 10) * 1000
-
-
-def test_grey_images_come_through_as_they_are():
-    np.testing.assert_array_equal(grey(raw('mono16', GREY16)), GREY16)
-    small = (GREY16 >> 8).astype(np.uint8)
-    np.testing.assert_array_equal(grey(raw('mono8', small)), small)
-
-
-def test_big_endian_and_padded_rows_are_read():
-    swapped = raw('mono16', GREY16.byteswap(), is_bigendian=True)
-    np.testing.assert_array_equal(grey(swapped), GREY16)
-    padded = np.zeros((6, 13), np.uint16)
-    padded[:, :10] = GREY16
-    np.testing.assert_array_equal(grey(raw('mono16', padded, width=10)), GREY16)
-
-
-@pytest.mark.parametrize(
-    'encoding', ['bayer_rggb16', 'bayer_grbg16', 'bayer_gbrg16', 'bayer_bggr16']
-)
-def test_a_grey_scene_through_a_mosaic_stays_grey(encoding):
-    flat = np.full((20, 30), 30_000, np.uint16)
-    np.testing.assert_allclose(grey(raw(encoding, flat)), flat, atol=2)
-
-
-@pytest.mark.parametrize('order', ['rgb8', 'bgr8'])
-def test_colour_is_weighed_by_channel(order):
-    colour = np.zeros((4, 5, 3), np.uint8)
-    colour[..., order.index('g')] = 200
-    np.testing.assert_allclose(grey(raw(order, colour)), 0.587 * 200, atol=1)
-
-
-@pytest.mark.parametrize(
-    ('encoding', 'change'),
-    [
-        ('yuv422', {}),
-        ('mono16', {'data': b'\0' * 10}),
-        ('mono16', {'step': 5}),
-        ('mono8', {'width': 0}),
-    ],
-)
-def test_images_that_are_damaged_or_unknown_are_refused(encoding, change):
-    with pytest.raises(ImageConversionError):
-        grey(raw(encoding, GREY16, **change))
+def test_a_recording_is_thinned_out(tmp_path, frames):
+    bag = write_bag(tmp_path / 'fast', frames[:8], period_ns=PERIOD_NS // 4)
+    labels = [label for label, _ in bag_images(bag, TOPIC)]
+    assert labels == ['1.000', '1.200']

@@ -51,6 +51,7 @@ def test_the_summary_has_its_figures(run: Path):
     assert report == json.loads((run / 'demo.json').read_text())
     assert {'force_hz', 'mae_n', 'latency_ms', 'lost'} <= set(report)
     assert set(report['latency_ms']) == {'p50', 'p99'}
+    assert 0.8 < report['gain'] < 1.6
     assert report['mae_n'] < 0.10
     assert report['mae_n'] < report['constant_mae_n']
     assert abs(report['clock_drift_ppm']) < 500
@@ -71,18 +72,3 @@ def test_the_bag_opens_in_another_reader(run: Path):
     assert counts[FORCE.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[EVENTS.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[IMAGE_RAW.resolved('mixtac')] > 20 * (SECONDS - 2)
-
-
-def test_force_stamps_are_those_of_the_event_clock(run: Path):
-    with AnyReader([run / 'bag'], default_typestore=typestore()) as reader:
-        chosen = [c for c in reader.connections if c.topic in ('/mixtac/force', '/mixtac/events')]
-        stamps, bases = [], []
-        for connection, _, data in reader.messages(chosen):
-            message = reader.deserialize(data, connection.msgtype)
-            if connection.topic == '/mixtac/force':
-                stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-            else:
-                bases.append(message.time_base)
-    assert all(stamp % 2_000_000 == 0 for stamp in stamps)
-    assert bases == sorted(bases)
-    assert bases[0] - 10**9 < stamps[0] < stamps[-1] < bases[-1] + 10**9

@@ -10,7 +10,6 @@ import os
 import sys
 import zipfile
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -18,14 +17,9 @@ from typer.testing import CliRunner
 from mixtac_cli import doctor
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_driver.doctor import Finding, Level, Measurement, ok
+from mixtac_driver.doctor import Finding, Level, RawData, ok
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_events.readings import Frame
-from mixtac_fger.estimator import open_estimator
-from mixtac_fger.reference import reference_name
-from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
-from mixtac_recordings.messages import left_aligned
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.server import UsbServer
 
@@ -69,42 +63,6 @@ def test_an_error_is_a_failure_and_comes_first(monkeypatch, tmp_path):
     assert content['verdict'].endswith('libusb: install [it]')
 
 
-def frames_of(rng, shift=0):
-    """Return frames of one scene with noise, moved to the right by some columns."""
-    from scipy.ndimage import gaussian_filter
-
-    scene = gaussian_filter(np.random.default_rng(0).normal(0.0, 1.0, (260, 346)), 3.0)
-    image = np.roll(400.0 + 1500.0 * scene, shift, axis=1)
-    return [
-        Frame(
-            np.clip(image + rng.normal(0.0, 2.0, image.shape), 0, 1023).astype(np.uint16),
-            *(0, 0, 0, 40_000 * k, 40_000 * k + 5000, 40_000 * k + 6000, 0, True),
-        )
-        for k in range(5)
-    ]
-
-
-def test_the_picture_is_compared_with_the_kept_zero(monkeypatch, tmp_path):
-    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
-    rng, measured = np.random.default_rng(1), Measurement()
-    assert doctor.check_zero('00000042', measured).values == {'kept': False}
-    estimator = open_estimator(read_model(find_model(DEFAULT_MODEL)))
-    for frame in frames_of(rng):
-        estimator.encode(left_aligned(frame.image), frame.middle_us)
-    estimator.reference.save(tmp_path / reference_name('00000042'))
-    assert doctor.check_zero('00000042', measured).level is Level.WARN
-    measured.latest.extend(frames_of(rng))
-    same = doctor.check_zero('00000042', measured)
-    assert same.level is Level.OK
-    assert same.values['kept']
-    assert abs(same.values['force [N]']) < 0.05
-    measured.latest.extend(frames_of(rng, shift=3))
-    moved = doctor.check_zero('00000042', measured)
-    assert moved.level is Level.WARN
-    assert moved.remedy
-    assert not doctor.check_zero('00000043', measured).values['kept']
-
-
 def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
     (tmp_path / 'sys/bus/usb/devices').mkdir(parents=True)
@@ -143,7 +101,7 @@ def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     # Where nobody serves a virtual sensor.
     monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
-    raw = doctor.RawData()
+    raw = RawData()
     sections = dict(doctor.examine(DriverParameters(device='virtual'), 1.0, raw=raw))
     assert [found.level for found in sections['camera']] == [Level.OK]
     measured = sections['measured']

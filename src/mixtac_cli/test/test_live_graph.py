@@ -35,10 +35,10 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     processes = module_node_under_test
     with Monitor('mixtac', 120) as monitor:
         # A slow host is no matter of this test: by default, time that it cannot simulate is a gap.
-        given = {'scenario': 'idle', 'slow_host': 'wait'}
+        given = {'scenario': 'idle'}
         nodes = sensor_graph('virtual', virtual_sensor=given)
         processes.start_nodes(nodes, 'mixtac')
-        monitor.bring_up('fger', processes)
+        monitor.bring_up_all(nodes, processes)
         monitor.listen()
         processes.spin_until(lambda: monitor.force_count >= 500)
         yield monitor
@@ -50,10 +50,11 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     [t for t in TOPICS if t.name not in OTHER_GRAPHS and not t.condition],
     ids=lambda t: t.name,
 )
-def test_each_topic_has_its_type_and_qos(graph: Monitor, topic):
+def test_each_topic_has_its_type_and_qos(graph: Monitor, module_node_under_test, topic):
     from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-    infos = graph.publishers(topic.resolved('mixtac'))
+    node = module_node_under_test.node
+    infos = node.get_publishers_info_by_topic(topic.resolved('mixtac'))
     assert infos, f'nobody publishes {topic.name}'
     for info in infos:
         assert info.topic_type == topic.type_name

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A monitor without the nodes that it would measure."""
+"""What a monitor keeps, and how it waits for nodes."""
 
 from __future__ import annotations
 
@@ -8,16 +8,43 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_cli.monitor_node import Monitor
+from geometry_msgs.msg import WrenchStamped
+
+from mixtac_cli.monitor_node import Monitor, Series
+from mixtac_node.graph import node
 from mixtac_node.process import GraphError
 
-pytestmark = pytest.mark.dds
+
+class Ended:
+    """Processes of which one has ended."""
+
+    def check(self):
+        raise GraphError('fger has ended')
+
+    def last_error(self, name):
+        return name
 
 
-def test_a_sensor_may_be_in_the_root_namespace(ros_domain):
-    class Ended:
-        def check(self):
-            raise GraphError('fger has ended')
+@pytest.mark.dds
+def test_waiting_ends_with_the_processes(ros_domain):
+    # In the root namespace, too.
+    with Monitor('/', 1.0) as monitor:
+        with pytest.raises(GraphError):
+            monitor.bring_up_all([node('mixtac_fger', 'fger', lifecycle=True)], Ended())
+        with pytest.raises(GraphError):
+            monitor.trigger('fger/tare', Ended().check)
+        monitor.listen()
+        with pytest.raises(GraphError):
+            monitor.wait_for_force(Ended().check)
 
-    with Monitor('/', 1.0) as monitor, pytest.raises(GraphError):
-        monitor.bring_up('fger', Ended())
+
+def test_a_full_series_counts_on():
+    series = Series(2)
+    message = WrenchStamped()
+    message.header.stamp.sec = 7
+    for normal in (1.0, 2.0, 3.0):
+        message.wrench.force.x, message.wrench.force.z = 0.5, normal
+        series.add(message)
+    assert (series.count, series.received, series.latest_n) == (2, 3, 3.0)
+    assert series.force_n.tolist() == [[0.5, 0.0, 1.0], [0.5, 0.0, 2.0]]
+    assert series.times_ns[1].tolist() == [7_000_000_000] * 2

@@ -152,11 +152,11 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     assert witness.farthest_m > 1e-5
     assert 0.05 < witness.lowest_mm < FALLEN_MM
 
-    # Slip control got the estimate: never the truth itself, but near it after the calibration.
+    # Slip control got the estimate of a sensor that is not calibrated, never the truth itself.
     publishers = witness.node.get_publishers_info_by_topic('/mixtac/force')
     assert [each.node_name for each in publishers] == ['fger']
     assert np.std(witness.ratios) > 0.0
-    assert np.median(witness.ratios) == pytest.approx(1.0, abs=0.25)
+    assert 0.4 < np.median(witness.ratios) < 1.6
 
     for topic, (name, kind, reliability) in CONTRACT.items():
         assert witness.endpoints(topic)[name] == (kind, reliability), topic

@@ -9,23 +9,27 @@ same frames, and this node is not needed.
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from functools import partial
+from pathlib import Path
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from mixtac_description.fingertip import (
-    DescriptionError,
-    FixedFrame,
-    fingertip_urdf,
-    fixed_frames,
-)
+from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import BaseNode, run
+from mixtac_node.share import share
 from mixtac_node.topics import frame_prefix
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+MACRO = '{http://www.ros.org/wiki/xacro}macro'
+PREFIX = '${prefix}'
+
+
+class DescriptionError(MixtacError):
+    """A URDF that cannot be read without xacro."""
 
 
 class FramesNode(BaseNode, Node):  # type: ignore[misc]
@@ -39,22 +43,53 @@ class FramesNode(BaseNode, Node):  # type: ignore[misc]
             raise DescriptionError(
                 'tf2_msgs is not installed', remedy='install ROS 2: the wheels do not have it'
             ) from error
-        urdf = fingertip_urdf(frame_prefix(self.get_namespace()))
-        now = self.get_clock().now().to_msg()
+        macro = share('mixtac_description') / 'urdf' / 'fingertip.urdf.xacro'
+        urdf = fingertip_urdf(macro, frame_prefix(self.get_namespace()))
+        frames = fixed_frames(urdf)
+        for frame in frames:
+            frame.header.stamp = self.get_clock().now().to_msg()
         self._tf = self.create_publisher(TFMessage, '/tf_static', LATCHED)
-        self._tf.publish(TFMessage(transforms=[transform(f, now) for f in fixed_frames(urdf)]))
+        self._tf.publish(TFMessage(transforms=frames))
         self._description = self.create_publisher(String, 'robot_description', LATCHED)
         self._description.publish(String(data=urdf))
 
 
-def transform(frame: FixedFrame, stamp: object) -> TransformStamped:
-    """Return a frame as a message."""
-    message = TransformStamped(child_frame_id=frame.child)
-    message.header.frame_id, message.header.stamp = frame.parent, stamp
-    move, turn = message.transform.translation, message.transform.rotation
-    move.x, move.y, move.z = frame.xyz
-    turn.x, turn.y, turn.z, turn.w = frame.quaternion
-    return message
+def fingertip_urdf(path: Path, prefix: str = '') -> str:
+    """Return the URDF of one fingertip, as `xacro mixtac.urdf.xacro prefix:=PREFIX` writes it.
+
+    Args:
+        path: File with the macro.
+        prefix: Put before the name of each link and joint.
+
+    Raises:
+        DescriptionError: The macro has other expressions than its prefix.
+    """
+    robot = ET.Element('robot', name=f'{prefix}mixtac')
+    robot.extend(ET.parse(path).getroot().findall(f'{MACRO}/*'))  # noqa: S314  (our own file)
+    text = ET.tostring(robot, encoding='unicode').replace(PREFIX, prefix)
+    if '${' in text or '<xacro' in text:
+        raise DescriptionError(
+            f'{path} uses more of xacro than the prefix', remedy='write numbers, or run xacro'
+        )
+    return text
+
+
+def fixed_frames(urdf: str) -> list[TransformStamped]:
+    """Return the fixed joints of a URDF as transforms without a stamp."""
+    from scipy.spatial.transform import Rotation
+
+    frames = []
+    for joint in ET.fromstring(urdf).iter('joint'):  # noqa: S314  (our own text)
+        parts = {part.tag: part.attrib for part in joint}
+        frame = TransformStamped(child_frame_id=parts['child']['link'])
+        frame.header.frame_id = parts['parent']['link']
+        move, turn = frame.transform.translation, frame.transform.rotation
+        move.x, move.y, move.z = map(float, parts['origin']['xyz'].split())
+        # URDF turns about fixed axes.
+        angles = list(map(float, parts['origin']['rpy'].split()))
+        turn.x, turn.y, turn.z, turn.w = map(float, Rotation.from_euler('xyz', angles).as_quat())
+        frames.append(frame)
+    return frames
 
 
 main = partial(run, FramesNode)

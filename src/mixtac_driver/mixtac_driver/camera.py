@@ -63,7 +63,6 @@ class SourceStatus:
         clock: Map from the camera's clock [us since its reset] to the host's.
         origin: Add it to the camera's clock for published times; None before it is known.
         losses: Data lost or damaged since the start, by kind.
-        totals: Running totals whose rates are of interest.
         figures: Everything else.
         paused: True while playback is paused.
         trouble: What is wrong although data come, or empty.
@@ -74,7 +73,6 @@ class SourceStatus:
     clock: ClockMap
     origin: Origin | None
     losses: Mapping[str, int] = field(default_factory=dict)
-    totals: Mapping[str, int] = field(default_factory=dict)
     figures: Mapping[str, object] = field(default_factory=dict)
     paused: bool = False
     trouble: str = ''
@@ -191,8 +189,8 @@ class Davis346:
                 'usb transfers dropped': usb.dropped_transfers,
                 **{name.replace('_', ' '): counted[name] for name in LOSSES if name in counted},
             },
-            totals={'usb bytes': usb.size},
             figures={
+                'usb bytes': usb.size,
                 'usb queue [bytes]': usb.queued_size,
                 'usb queue maximum [bytes]': usb.most_queued_size,
                 'usb stalls': usb.stalls,

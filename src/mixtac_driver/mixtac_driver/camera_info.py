@@ -35,8 +35,6 @@ MODELS = {
     EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
 }
 """Names of the coefficients by distortion model."""
-ROTATION_TOLERANCE = 1e-3
-"""Largest deviation of R R^T from the identity."""
 
 
 class CalibrationError(DriverError):
@@ -91,12 +89,6 @@ class CameraCalibration:
                     f'{name}_matrix: focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px must '
                     'be positive'
                 )
-        turned = self.rectification @ self.rectification.T - np.eye(3)
-        if np.abs(turned).max() > ROTATION_TOLERANCE:
-            raise CalibrationError(
-                'rectification_matrix is not a rotation',
-                remedy='give the identity for a single camera',
-            )
 
     @property
     def size(self) -> tuple[int, int]:

@@ -9,12 +9,13 @@ documentation, ABI/testing/sysfs-bus-usb).
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import shutil
 import subprocess
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -291,6 +292,28 @@ class Measurement:
         return count / self.seconds if self.seconds else 0.0
 
 
+MOST_WORDS = 64 << 20
+"""Largest raw data that are kept [bytes]."""
+
+
+@dataclass
+class RawData:
+    """What a camera sent while it was measured.
+
+    Attributes:
+        words: Its bytes, as the decoder reads them; the first `MOST_WORDS`.
+        registers: Value by `module:parameter`.
+    """
+
+    words: io.BytesIO = field(default_factory=io.BytesIO)
+    registers: dict[str, int] = field(default_factory=dict)
+
+    def add(self, data: bytes) -> None:
+        """Append the data of a transfer."""
+        if self.words.tell() < MOST_WORDS:
+            self.words.write(data)
+
+
 def measure(camera: Davis346, seconds: float) -> Measurement:
     """Start an open camera, count its data, and stop it.
 
@@ -351,30 +374,26 @@ LEAST_SHARPNESS = 0.12
 def check_running(
     p: DriverParameters,
     seconds: float,
-    *,
+    raw: RawData | None = None,
     backend: Any = None,  # noqa: ANN401
-    more: Callable[[Davis346, Measurement], Finding | None] = lambda *_: None,
-    on_transfer: Callable[[bytes], None] | None = None,
 ) -> Iterator[Finding]:
     """Open a camera, count its data, and yield findings one by one.
 
     Args:
         p: Device, serial number and settings.
         seconds: Duration of the count [s].
+        raw: Receives what the camera sends.
         backend: A pyusb backend to use instead of the one that the device string names.
-        more: Makes one more finding of the open camera and the measurement, or None.
-        on_transfer: Called with the data of each transfer.
     """
+    on_transfer = None if raw is None else raw.add
     camera, name = Davis346(p, backend=backend, on_transfer=on_transfer), 'opening the camera'
     try:
         camera.open()
         yield check_identity(camera.identity)
         name = 'data stream'
-        measured = measure(camera, seconds)
-        yield from check_measurement(measured, p, camera.identity)
-        extra = more(camera, measured)
-        if extra is not None:
-            yield extra
+        if raw is not None:
+            raw.registers = camera.control.registers()
+        yield from check_measurement(measure(camera, seconds), p, camera.identity)
     except MixtacError as error:
         yield Finding(name, Level.ERROR, error.message, error.remedy or CABLE)
     finally:

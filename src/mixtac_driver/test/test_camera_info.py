@@ -102,7 +102,6 @@ def test_what_is_written_is_read_to_the_last_bit(model, name):
         ('-0.41527', '.nan', 'distortion'),
         ('-0.41527', 'none', 'distortion_coefficients'),
         ('-0.41527, ', '', 'distortion_coefficients'),
-        ('[1, 0, 0, 0, 1, 0, 0, 0, 1]', '[2, 0, 0, 0, 1, 0, 0, 0, 1]', 'rectification_matrix'),
     ],
 )
 def test_damage_is_named(tmp_path, old, new, named):

@@ -14,8 +14,6 @@ pytest.importorskip('mixtac_sim.usb.device')
 from virtual_scene import Scene
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.errors import DisconnectedError
-from mixtac_driver.parameters import DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.readings import STANDARD_GRAVITY
 from mixtac_sim.usb.pyusb_backend import in_process_backend
@@ -74,40 +72,3 @@ def test_events_frames_and_samples_come_out_as_they_went_in(scene):
     assert counters.frames_dropped <= 1
     assert (counters.specials_unknown, counters.misc_unknown, counters.events_outside) == (0, 0, 0)
     assert (transport.dropped_transfers, transport.stalls) == (0, 0)
-
-
-def test_published_time_is_host_time(scene):
-    with camera_on(scene) as camera:
-        camera.start()
-        deadline = time.monotonic() + 0.5
-        for batch in camera.batches():
-            late_s = (batch.arrival_ns / 1000 - batch.time_us) / 1e6
-            assert -0.005 < late_s < 0.5
-            if time.monotonic() > deadline:
-                break
-        estimate = camera.clock.estimate()
-        assert abs(estimate.offset_us - camera.status().origin.us) < 20_000
-
-
-def test_unplugging_is_named(scene):
-    with camera_on(scene) as camera:
-        camera.start()
-        batches = camera.batches()
-        next(batches)
-        scene.device.unplug()
-        with pytest.raises(DisconnectedError):
-            list(batches)
-
-
-def test_sensors_that_are_off_send_nothing(scene):
-    off = DriverParameters(
-        aps_enabled=False, imu_acc_enabled=False, imu_gyro_enabled=False, imu_temp_enabled=False
-    )
-    with camera_on(scene, off) as camera:
-        camera.start()
-        deadline = time.monotonic() + 0.3
-        for batch in camera.batches():
-            assert not batch.decoded.frames
-            assert not len(batch.decoded.imu.t)
-            if time.monotonic() > deadline:
-                break

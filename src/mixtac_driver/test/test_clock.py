@@ -78,15 +78,6 @@ def test_a_reset_under_way_before_another_was_asked_for_counts_as_unasked():
     assert epochs.follow(3, 5, later.host_ns + 500_000) == later
 
 
-def test_a_reset_long_after_one_that_never_came_is_another():
-    epochs = started()
-    later = Origin(ASKED.host_ns + 10**9, 2000)
-    epochs.ask(lambda: later)
-    arrival_ns = later.host_ns + 5 * 10**9
-    assert epochs.follow(2, 5, arrival_ns).us == arrival_ns // 1000 - 5
-    assert epochs.unasked == 1
-
-
 @pytest.mark.parametrize('at_once', [False, True])
 def test_resets_that_were_asked_for_before_the_first_arrived_are_all_known(at_once):
     epochs = started()

@@ -15,9 +15,6 @@ pytest.importorskip('mixtac_msgs.msg')
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
-from mixtac_events.arrays import Events
-from mixtac_events.codec import decode_message
-from mixtac_events.packetizer import Packetizer
 from mixtac_events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_msgs.msg import ExternalEdge
 from mixtac_node.stamps import stamp_to_us
@@ -85,12 +82,6 @@ def test_edges_have_the_kinds_of_the_message(kind):
     assert (stamp_to_us(message.header.stamp), message.seq) == (ORIGIN_US + 5, 7)
 
 
-def test_temperature_is_stamped():
-    message = messages.temperature(40.5, ORIGIN_US, 'imu')
-    assert (message.temperature, message.header.frame_id) == (40.5, 'imu')
-    assert stamp_to_us(message.header.stamp) == ORIGIN_US
-
-
 def test_missing_inertial_groups_are_marked():
     nan = np.full((1, 3), np.nan)
     samples = InertialSamples(np.array([7]), np.array([[1.0, 2.0, 3.0]]), nan, np.array([np.nan]))
@@ -100,16 +91,3 @@ def test_missing_inertial_groups_are_marked():
     assert message.linear_acceleration_covariance[0] == 0.0
     assert message.angular_velocity_covariance[0] == -1.0
     assert message.angular_velocity.x == 0.0
-
-
-def test_event_packet_decodes():
-    t = np.array([5, 6]) + ORIGIN_US
-    xy = np.array([1, 2], np.uint16)
-    events = Events(t, xy, xy, np.array([True, False]))
-    (packet,) = Packetizer('libcaer_cmp', 1000, 1000).push(events, ORIGIN_US + 1000, 42_000)
-    message = messages.event_packet(packet, 9, (346, 260), 'cam')
-    assert (message.seq, message.width, message.height) == (9, 346, 260)
-    assert stamp_to_us(message.header.stamp) == 42
-    decoded = decode_message(message)
-    np.testing.assert_array_equal(decoded.events.t, t)
-    assert decoded.complete_until == ORIGIN_US + 1000

@@ -29,7 +29,6 @@ from mixtac_driver.errors import (
     StreamError,
     UsbError,
 )
-from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
 
 
@@ -98,13 +97,6 @@ def test_many_writes_at_once_are_never_repeated():
     assert len(device.asked) == 1
 
 
-def test_other_failures_are_not_repeated():
-    device = Device(USBError('stall', -9, errno.EPIPE), b'\0\0\0\7')
-    with pytest.raises(StallError):
-        Protocol(device).read(6, 0)
-    assert len(device.asked) == 1
-
-
 @pytest.mark.parametrize(
     ('serial', 'preferred', 'got'),
     [('B', 'A', 'B'), ('', 'A', 'A'), ('', 'B', 'B'), ('', 'C', None), ('C', 'A', None)],
@@ -162,22 +154,6 @@ def test_registers_that_read_as_garbage_are_refused_in_clear_words(seed):
         assert len(str(error).splitlines()) == 1  # noqa: PT017 - not every garbage is refused
     camera.close()
     assert fake.handles == 0
-
-
-def test_settings_changed_while_the_camera_was_away_are_there_after_it_is_opened_again():
-    fake = FakeCamera()
-    camera = Davis346(backend=FakeBackend(fake))
-    camera.open()
-    camera.apply(DriverParameters(aps_exposure=9000, skip_events_every=7))
-    before = {address: value for address, value in fake.registers.items() if address[0] != 6}
-    camera.close()
-    fake.registers = dict(FakeCamera().registers)
-    camera.apply(DriverParameters(aps_exposure=9000, skip_events_every=8))
-    camera.open()
-    after = dict(fake.registers)
-    assert after[1, 52] == 8
-    assert {**before, (1, 52): 8} == {a: v for a, v in after.items() if a[0] != 6}
-    camera.close()
 
 
 @given(

@@ -62,44 +62,6 @@ def test_camera_that_comes_late_is_found():
     assert watch.supervisor.state is State.STOPPED
 
 
-def test_unplugged_camera_is_named_and_taken_up_again():
-    fake = FakeCamera()
-    watch = Watch(FakeBackend(fake))
-    wait_until(lambda: watch.batches)
-    fake.unplug()
-    wait_until(lambda: watch.errors)
-    fake.error = None
-    fake.claimed = False
-    before = watch.batches[-1].time_us
-    wait_until(lambda: len(watch.starts) == 2 and watch.batches[-1].time_us > before)
-    times = [batch.time_us for batch in watch.batches]
-    assert times == sorted(times)
-    assert watch.supervisor.failures_by_kind == {'DisconnectedError': 1}
-    assert watch.supervisor.reconnects == 1
-    assert watch.supervisor.outage_s > 0
-    assert watch.supervisor.stop()
-    assert fake.handles == 0
-
-
-def test_silent_camera_is_started_anew():
-    fake = FakeCamera()
-    watch = Watch(FakeBackend(fake))
-    wait_until(lambda: len(watch.starts) == 2)
-    assert watch.supervisor.failures_by_kind == {'StreamError': 1}
-    assert watch.supervisor.stop()
-
-
-def test_defects_are_told_and_do_not_end_the_thread():
-    def broken(_batch):
-        raise ZeroDivisionError('oops')
-
-    watch = Watch(FakeBackend(FakeCamera()), on_batch=broken)
-    wait_until(lambda: watch.supervisor.failures >= 2)
-    wait_until(lambda: watch.errors)
-    assert 'ZeroDivisionError' in watch.errors[0]
-    assert watch.supervisor.stop()
-
-
 @pytest.mark.parametrize('moment_s', [0.0, 0.005, 0.015, 0.03, 0.1])
 def test_stop_returns_whenever_it_is_called(moment_s):
     fake = FakeCamera()

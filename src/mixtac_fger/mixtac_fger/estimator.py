@@ -18,7 +18,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
-from mixtac_fger.reasons import Reason
+from mixtac_fger.validity import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from mixtac_events.arrays import Events
     from mixtac_fger.contact_tracking import Contact, Touch
-    from mixtac_fger.pictures import PictureFigures
     from mixtac_fger.reference import Reference
     from mixtac_fger.shear import Shear
+    from mixtac_fger.validity import PictureFigures
     from mixtac_fger.weights import Model, ModelCard
 
     Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -287,8 +287,6 @@ class EstimatorStatus(EstimatorCounters):
         deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
-        noise_known: Whether events are held against the noise of the sensor at rest, which takes
-            some seconds of rest; until then they are compared with frames only.
     """
 
     ready: bool = False
@@ -298,7 +296,6 @@ class EstimatorStatus(EstimatorCounters):
     deviation: float = -1.0
     validity: str = Reason.TRUSTED.name
     zero_drift: float = 0.0
-    noise_known: bool = False
 
 
 SERIAL_KEY = 'sensor_serial'

@@ -16,7 +16,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
 from mixtac_fger.moments import moments
-from mixtac_fger.pictures import PictureFigures, picture_figures
+from mixtac_fger.validity import PictureFigures, picture_figures
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.int64]
@@ -215,10 +215,6 @@ class EventGuide:
     solvers: F32
 
 
-WHITE = 0.99
-"""Share of the largest value of a frame from which on its pixels tell no brightness."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrast:
     """Log contrast of one frame at the two resolutions in use.
@@ -226,12 +222,10 @@ class Contrast:
     Attributes:
         fine: For the event guide, float32 `FgerConfig.gradient_shape`.
         coarse: For the frame network, float32 `FgerConfig.frame_shape`.
-        clipped: Share of the fine bins in which the camera tells no brightness: all white.
     """
 
     fine: F32
     coarse: F32
-    clipped: float
 
 
 class FramePreparation:
@@ -270,9 +264,7 @@ class FramePreparation:
             )
         bin_mean(image, config.gradient_bin, self._fine)
         bin_mean(self._fine, config.frame_bin // config.gradient_bin, self._coarse)
-        white = WHITE * np.iinfo(image.dtype).max if image.dtype.kind == 'u' else np.inf
-        clipped = np.count_nonzero(self._fine > white) / self._fine.size
-        result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse), clipped)
+        result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse))
         log_contrast(self._fine, config.log_floor, result.fine)
         log_contrast(self._coarse, config.log_floor, result.coarse)
         return result
@@ -316,8 +308,7 @@ class FramePreparation:
         """Return what the frame of the latest `network_input` has in common with the reference."""
         if not self._reads_flow:
             self._displace(contrast, reference)
-        found = PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
-        return found._replace(clipped=contrast.clipped)
+        return picture_figures(reference, contrast.coarse, self._flow)
 
     def moments(self) -> F32:
         """Return the moments of the displacement of the latest `network_input`, float32 [9].

@@ -113,15 +113,15 @@ class Kind(NamedTuple):
     spread: float
 
 
-PRESS: Final = Kind(0.04, 0.01, 0.05, 0.10, 0.03)
+PRESS: Final = Kind(0.04, 0.02, 0.10, 0.10, 0.03)
 """Weights on the gel; `spread` is 0.02 on simulated sensors."""
-PULL: Final = Kind(0.03, 0.02, 0.10, 0.30, 0.12)
+PULL: Final = Kind(0.03, 0.02, 0.15, 0.30, 0.12)
 """Pulls aside; `spread` is that of four directions on 14 simulated sensors (`paper_like`)."""
 ZERO_N: Final = 0.03
 """Smallest change that may stay after any load [N]."""
 ROCKING_N: Final = 0.03
 """Largest standard deviation of a plateau about its line [N] (estimate)."""
-ROCKING_PART: Final = 0.06
+ROCKING_PART: Final = 0.10
 """The same, as a part of the change (estimate)."""
 BIN_S: Final = 0.04
 """The series is averaged over these steps [s]; frames correct the estimate as often."""
@@ -129,7 +129,7 @@ REACH_S: Final = 0.4
 """Means over this time are compared, before and after a moment [s]."""
 STEADY_N: Final = 0.02
 """Largest difference between them while the force is steady [N] (estimate)."""
-STEADY_PART: Final = 0.08
+STEADY_PART: Final = 0.12
 """The same, as a part of the force (estimate)."""
 SHORTEST_S: Final = 0.8
 """Shortest steady stretch [s]."""
@@ -280,8 +280,9 @@ def plateau_of(span: Stretch, before: Stretch, after: Stretch | None, kind: Kind
     rests = (before,) if after is None else (before, after)
     seen = span.mean_n - sum(each.mean_n for each in rests) / len(rests)
     left = abs(rests[-1].mean_n - before.mean_n)
-    # Between the two rests the zero may have changed at any time.
+    # The zero may have changed at any time between the rests, and creep belongs to no moment.
     errors = [span.error_n, *(each.error_n / len(rests) for each in rests), left / math.sqrt(12.0)]
+    errors.append(abs(span.creep_n_per_s) * span.seconds / math.sqrt(12.0))
     found = Plateau(span, rests, seen, math.hypot(*errors))
     size = found.size_n
     where = f'the force from {span.start_s:.1f} to {span.end_s:.1f} s'

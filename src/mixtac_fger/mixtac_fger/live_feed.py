@@ -15,7 +15,7 @@ from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.packets import CodecError, OwnPacket
 from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
-from mixtac_fger.reasons import Reason
+from mixtac_fger.validity import Reason
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
 from mixtac_node.images import ImageConversionError, decompress_grey, grey
 

@@ -33,15 +33,14 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.sequence import Arrival, StreamTime
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger import comparisons, noise_pattern, pictures, recent_events
+from mixtac_fger import validity
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
-from mixtac_fger.features import EXPOSED_WINDOWS, correction_lag
+from mixtac_fger.features import correction_lag
 from mixtac_fger.frame_worker import FrameWorker, feel, seen
-from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import Reference, TareError
-from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Validity
-from mixtac_fger.zero import CONTACT, Zero
+from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
+from mixtac_fger.zero import Zero
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,7 +136,7 @@ class ForceEstimator:
         self._frame: EncodedFrame | None = None
         self._felt: tuple[int, Touch] | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
-        self._validity = Validity(estimator.window_us, estimator.width)
+        self._validity = Validity(estimator.width)
         self._reason_now = Reason.TRUSTED
         self._saturated = self._other_camera = False
         self._zero = None if reference is None else Zero(reference)
@@ -335,7 +334,6 @@ class ForceEstimator:
             deviation=-1.0 if self._deviation is None else self._deviation,
             validity=self._reason_now.name,
             zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
-            noise_known=self._validity.noise_known,
         )
 
     def _frame_age_us(self) -> int:
@@ -411,20 +409,10 @@ class ForceEstimator:
             if self.contact.frame_us != mid_us == self._frame.mid_us:
                 self.contact.frame(mid_us, touch)
 
-    def _check(self, frame: EncodedFrame, lag: int | None) -> None:
-        """Check a frame that was exposed so many windows before the last estimate."""
+    def _check(self, frame: EncodedFrame) -> None:
+        """Check a frame, and follow the zero by it."""
         picture = frame.picture
-        # Only some estimators tell; and what nothing touches only seems to vibrate.
-        vibrating = getattr(self._estimator, 'vibrating', False)
-        vibrating = vibrating and (picture is None or picture.outward > CONTACT)
-        half = EXPOSED_WINDOWS * vibrating
-        around = () if lag is None else range(max(lag - half, 0), lag + half + 1)
-        known = [self._recent[-1 - each] for each in around if each < len(self._recent)]
-        then = sum(known) / len(known) / self._unit if known else None
-        force = frame.force / self._unit
-        self._validity.frame(
-            frame.mid_us, frame.contrast, picture, force, then, vibrating=vibrating
-        )
+        self._validity.frame(frame.mid_us, frame.contrast, picture)
         if picture is not None and self._zero is not None:
             light = abs(self.force_scale * frame.force) < self.contact_threshold_n
             self._zero.frame(picture, frame.force, light=light)
@@ -470,14 +458,13 @@ class ForceEstimator:
             self._count.frames_dropped += 1
             return
         kept = reference is not None and reference.kept
+        self._check(frame)
         if self._frame is None and (kept or self._since_us > -NO_LIMIT_US):
             # Something may touch the sensor already.
-            self._check(frame, None)
             self._estimator.start_at(frame)
         else:
             width = self._width_us
             lag = correction_lag(end_us - width, frame.mid_us, width)
-            self._check(frame, lag)
             self._estimator.correct(frame, lag)
         self._frame = frame
         self._saturated = False
@@ -513,10 +500,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     Returns:
         Its estimates; none would mean that a part has not been run.
     """
-    comparisons.warm_up()
-    pictures.warm_up()
-    noise_pattern.warm_up()
-    recent_events.warm_up()
+    validity.warm_up()
     feed = ForceEstimator(estimator, contact=ContactSettings())
     reference = estimator.reference
     for kind in (np.uint8, np.uint16):

@@ -2,202 +2,284 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a force can be trusted, and why not.
 
-Six groups of checks, none of which knows a particular fault:
+Two comparisons need the pictures; both are made in 48 tiles, and both are relative to what this
+sensor shows by itself, so that neither its brightness, nor its contrast, nor its rates matter.
 
-* The picture: a pressed gel is the gel of the reference, displaced and nothing else. What is left
-  after the reference is displaced, tile by tile, no contact explains.
-* Frames and events: the change from one frame to the next is what the events between them say, in
-  size and in pattern.
-* The estimate: the frame's force is the force that was estimated at the centre of its exposure.
-* Rates: where the sensor at rest has noise, neither ON nor OFF events stop, pause or become half as
-  many, and at rest they have the usual share each.
-* Noise: its pattern is that of the sensor's pixels (`noise_pattern`).
-* Repetition: noise never makes the same frame twice, nor the same events at the same intervals,
-  nor many events at one time, nor the same number of them again and again.
+* **Picture.** A pressed gel is the gel of the reference, displaced. What is left after the
+  reference has been displaced, less the noise from frame to frame, is a small part of the pattern,
+  and less than half of what has changed. The gel is bonded at its border, so that the whole
+  picture does not move.
+* **Events.** Where the change from one frame to the next, or the events between them, exceed their
+  own noise, they correlate as those of one motion do: ON events where a pixel has become brighter.
 
-Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
-`paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), those of pictures of all that
-631 show, most by a factor of two or more; none was chosen by a fault. `mixtac experiments faults`
-counts false alarms on other trials.
+Noise is the lower envelope of what each tile shows. The mean square of a tile's 120 bins of white
+noise has a standard deviation of 13 %, the envelope lies two below the mean: `SIGNAL` is four above
+it, which one tile in 30,000 exceeds by chance. A finding needs four tiles of one frame, or three
+frames of five, so that noise alone makes less than one in ten hours.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.comparisons import MOST_MARKS, add_signs, agreement, marks
-from mixtac_fger.motion_agreement import MotionAgreement, pair_of
-from mixtac_fger.noise_pattern import (
-    LEAST_RATE,
-    MEMORY,
-    RARE,
-    SPAN,
-    NoisePattern,
-    least_number,
-)
-from mixtac_fger.pictures import picture_findings
-from mixtac_fger.reasons import Reason
-from mixtac_fger.recent_events import Known, RecentWindows
-
-if TYPE_CHECKING:
-    from mixtac_events.arrays import Events
-    from mixtac_fger.pictures import PictureFigures
+from mixtac_events.arrays import Events
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U16 = NDArray[np.uint16]
+Bools = NDArray[np.bool_]
 
-MOST_CLIPPED = 0.01
-"""Share of the picture that may be white beyond what was at the start; without a fault none is."""
-FEW_BINS, STRONG_BINS = 3, 10
-"""Bins with a strong change from which on events have to tell of it: the first of those of
-`LONGEST_COMPARISON` frames, the second at once; of twice as many, or if events tell of the
-reverse, it counts twice."""
-LEAST_SLOPE = 0.2
-"""Events per pixel and log unit of change; without a fault 1.1 to 4, the inverse of a threshold.
-Two of 44 sensors, with the slowest pixels of `hard`, have 0.4 and more. Of 4,577 slopes of 95
-trials, 338 of them of less than `STRONG_BINS`, the lowest is 0.5."""
-LEAST_SLOPE_OF_OWN = 0.25
-"""The same over the sensor's own, without a fault 0.39 and more."""
-JUDGEMENTS = 2
-"""Slopes in a row that have to be too low; without a fault a single one of few bins."""
-LONGEST_COMPARISON = 12
-"""Frames after which the comparison of frames and events starts over."""
-LEAST_ONE_WAY = 0.7
-"""ON less OFF events per bin over all events, below which something moved to and fro between two
-frames, of which they tell little: a weak vibration. In motion 0.7 and more, mostly 0.9."""
-LEAST_BY_CHANCE = 0.95
-"""The same where noise is dense, over what chance leaves of n events per bin, about the inverse
-root of 1 + n pi / 2. In noise 1.01 and more (37 trials), in weak vibrations 0.9 and less."""
-BUSY_PER_MS = 750
-"""Rate of a blow [events/ms]: its motion during an exposure is no fault."""
-BUSY_MARGIN_US = 8_000
-"""Half an exposure and more, before and after a comparison [us]."""
-MOST_UNTOLD, STILL, UNTOLD_FRAMES, UNTOLD_BLOWS = 3.0, 1.3, 3, 5
-"""Events over those at rest while the change of frames over that at rest is below the second, in so
-many frames in a row, or so many with a blow each between them and the one before; without a fault
-2.3 in three frames (66 trials)."""
-FEW_EVENTS = 10
-"""Events between two frames that are no motion, however quiet the sensor is."""
-UNTOLD = UNTOLD_FRAMES * UNTOLD_BLOWS
-MOST_RATE = 4.0
-"""Rate over that at rest in all windows between frames that are still."""
-MOST_DISAGREEMENT, DISAGREEING_FRAMES = 1.5, 3
-"""Frame force less estimate over `disagreement_scale`, the mean of so many frames; without a fault
-up to 1.1, but for two trials of vibration in which the estimate was wrong by 0.5 N."""
-LOWEST_FORCE, HIGHEST_FORCE = -0.5, 10.0
-"""Range of the forces in training with a margin, before `force_scale` [N]."""
+
+class Reason(IntEnum):
+    """Why a force cannot be trusted; the numbers are those of `mixtac_msgs/ForceQuality`."""
+
+    TRUSTED = 0
+    PICTURE_UNLIKE_REFERENCE = 1
+    FRAME_FROZEN = 3
+    EVENTS_DISAGREE = 6
+    OTHER_CAMERA = 8
+    ZERO_UNKNOWN = 9
+    OUT_OF_RANGE = 10
+    SATURATED = 11
+    STALE = 12
+
+    @property
+    def text(self) -> str:
+        """One line for people, with what to do."""
+        return TEXTS[self]
+
+
+TEXTS = {
+    Reason.TRUSTED: 'trusted',
+    Reason.PICTURE_UNLIKE_REFERENCE: 'the picture is not the reference displaced by a contact:'
+    ' check LEDs, focus and the fixing of the camera, release the sensor and call ~/tare',
+    Reason.FRAME_FROZEN: 'the camera sends the same frame again and again: restart the driver',
+    Reason.EVENTS_DISAGREE: 'events and frames show different motions: check that camera, times,'
+    ' orientation and biases are right',
+    Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
+    Reason.ZERO_UNKNOWN: 'the zero is unknown: touch the sensor, release it and call ~/tare, or set'
+    ' assume_free if nothing touched it at the start',
+    Reason.OUT_OF_RANGE: 'the force is outside of what the model was trained on',
+    Reason.SATURATED: 'the sensor sent more events than it can, until the next frame',
+    Reason.STALE: 'the latest frame is too old',
+}
+LOWEST_FORCE = -0.5
+"""Lowest force of training, with a margin, before `force_scale` [N]."""
+HIGHEST_FORCE = 10.0
+"""Highest force of training, with a margin, before `force_scale` [N]."""
+TILE_ROWS = 6
+"""Rows of tiles of a picture; a tile shows about eight beads."""
+TILE_COLUMNS = 8
+"""Columns of tiles of a picture."""
+SPARE_TILES = 3
+"""Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
+PATTERN_SHARE = 0.2
+"""Unexplained part of a tile, over the variance of its pattern, from which on the tile is unlike
+the reference: a correlation of 0.9."""
+CHANGE_SHARE = 0.5
+"""Unexplained part of a tile, over its whole change, from which on a displacement does not explain
+the change."""
+MOST_SHIFT = 0.1
+"""Displacement of the whole picture from which on the camera has moved [bins of 4 px]."""
+FALL = 0.2
+"""Share by which a level of noise follows a lower value."""
+RISE = 0.002
+"""Share by which a level of noise follows a higher value: in 20 s at 25 Hz."""
+SIGNAL = 2.0
+"""Mean square of a tile over its level of noise, from which on the tile shows more than noise."""
+REST_SHARE = 0.25
+"""Share of the tiles that rests in every contact."""
+STRONG = 0.3
+"""Root mean square of a tile from which on events cannot be missing, nor be alone [events/px]."""
+ONE_WAY = 0.7
+"""ON less OFF events of a tile over all of them, below which the tile has moved to and fro."""
+LEAST_AGREEMENT = 0.2
+"""Correlation of frames and events over the expected one, below which they disagree."""
+JUDGED_FRAMES = 5
+"""Frames with motion whose median agreement is judged."""
+REST_FRAMES = 25
+"""Frames without motion after which a disagreement is forgotten: frames lead the force by then."""
 HOLD_FRAMES = 5
 """Frames without a finding after which a force is trusted again."""
-FALL, RISE = 0.2, 0.002
-"""Shares of a new value by which levels of noise follow it."""
-RESTS_KNOWN = 25
-"""Frames at rest after which it is known what is usual, and from which on that follows slowly."""
-MOST_LEANING, RESTS_LEANING, LEAST_LEANING, QUIET = 0.08, 5, 200, 1.2
-"""Share of ON events at rest less the usual one, the mean of so many frames with so many events and
-at most so many times the usual ones; without a fault 0.053 at most (42 trials)."""
-AT_REST = 1.5
-"""Events over those at rest up to which a frame without motion counts as rest."""
-FRAMES_KNOWN, ROWS_APART = 128, 8
-"""Frames that are known again, by every eighth row."""
-STRETCHES_KNOWN = 256
-"""Stretches of events that are known again, by their marks."""
-MOST_AGAIN, FORGOTTEN = 2.5, 0.2
-"""Marks that are known again, of which each stretch forgets a part; without a fault 1 at most, in
-218 stretches of real events, none in 7,776 of simulated ones."""
-LEAST_RECENT = 0.6
-"""ON, or OFF, events of the latest 100 ms over those at rest; without a fault 0.78 and more (42
-trials)."""
-LONGEST_PAUSE = 5.0
-"""Longest pause between two events of a stretch over its mean at rest; without a fault 2.6 at most
-(95 trials), 3.5 in real events."""
-MOST_TWICE = 8
-"""Events of a stretch that are the one before once more; without a fault 1 at most."""
-LEAST_EVEN = 40
-"""Events of a window from which on ten in a row, of a sensor whose noise comes and goes, never have
-the same number or one more: what is so even is a limit of their rate, until a window has more."""
-NO_LIMIT = 2**62
-EVENTS_TIMED, LEAST_TIMES = 80, 8
-"""Events from which on they have to have so many different times in a stretch: the camera gives
-each its own, or one to those of a row."""
+KEPT_WINDOWS = 256
+"""Windows whose events are kept for the next frame."""
 
 
-def disagreement_scale(force: float) -> float:
-    """Return how far the frame's force and an estimate may differ [N]."""
-    return 0.1 + 0.3 * abs(force)
+@njit(cache=True, nogil=True)
+def tile_moments(a: F32, b: F32, out: F64) -> None:
+    """Write means, variances and covariance of two maps in each tile.
+
+    Args:
+        a: float32 [rows, columns].
+        b: The same.
+        out: Mean of a and of b, variance of a and of b, covariance; float64 [5, tiles].
+    """
+    rows, columns = a.shape
+    count = np.zeros(out.shape[1])
+    out[:] = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            tile = row * TILE_ROWS // rows * TILE_COLUMNS + column * TILE_COLUMNS // columns
+            x, y = np.float64(a[row, column]), np.float64(b[row, column])
+            count[tile] += 1.0
+            for kind, value in enumerate((x, y, x * x, y * y, x * y)):
+                out[kind, tile] += value
+    for tile in range(out.shape[1]):
+        for kind in range(out.shape[0]):
+            out[kind, tile] /= count[tile]
+        out[2, tile] -= out[0, tile] * out[0, tile]
+        out[3, tile] -= out[1, tile] * out[1, tile]
+        out[4, tile] -= out[0, tile] * out[1, tile]
+
+
+@njit(cache=True, nogil=True)
+def displaced(reference: F32, flow: F32, out: F32) -> None:
+    """Write a picture displaced by a flow [px], float32 [2, rows, columns]; bilinear."""
+    rows, columns = reference.shape
+    for row in range(rows):
+        for column in range(columns):
+            x = min(max(column - flow[0, row, column], np.float32(0.0)), np.float32(columns - 1))
+            y = min(max(row - flow[1, row, column], np.float32(0.0)), np.float32(rows - 1))
+            left, top = min(int(x), columns - 2), min(int(y), rows - 2)
+            p, q = x - left, y - top
+            above = (1 - p) * reference[top, left] + p * reference[top, left + 1]
+            below = (1 - p) * reference[top + 1, left] + p * reference[top + 1, left + 1]
+            out[row, column] = (1 - q) * above + q * below
+
+
+@njit(cache=True, nogil=True)
+def add_events(x: U16, y: U16, on: Bools, size: int, net: NDArray[np.int8]) -> None:
+    """Add ON less OFF events to bins of `size` pixels, int8 [rows, columns], up to 127."""
+    rows, columns = net.shape
+    for index in range(x.shape[0]):
+        row, column = y[index] // size, x[index] // size
+        if row < rows and column < columns:
+            value = int(net[row, column]) + (1 if on[index] else -1)
+            net[row, column] = min(max(value, -127), 127)
+
+
+class PictureFigures(NamedTuple):
+    """A picture compared with the reference.
+
+    Attributes:
+        residual: Mean square of each tile that is left once the reference is displaced [log
+            units^2], float64 [tiles].
+        change: The same without the displacement.
+        pattern: Variance of each tile of the reference [log units^2].
+        shift: Displacement of the median tile, or of the median of the tiles along the border where
+            that is less: a pull on a wide contact moves more than half of the picture [bins].
+        outward: Mean component of the displacement away from where it is largest [bins].
+    """
+
+    residual: F64
+    change: F64
+    pattern: F64
+    shift: float
+    outward: float
+
+    def unexplained(self, noise: F64 | float = 0.0) -> float:
+        """Return how much of the picture no contact explains; a fault from 1 on.
+
+        Args:
+            noise: Mean square of the noise of each tile [log units^2].
+        """
+        left = self.residual - noise
+        parts = np.minimum(
+            left / (PATTERN_SHARE * self.pattern + 1e-9),
+            left / (CHANGE_SHARE * np.maximum(self.change - noise, 0.0) + 1e-9),
+        )
+        return max(float(np.sort(parts)[-1 - SPARE_TILES]), self.shift / MOST_SHIFT)
+
+
+BORDER = np.pad(
+    np.zeros((TILE_ROWS - 2, TILE_COLUMNS - 2), np.bool_), 1, constant_values=True
+).ravel()
+"""Which tiles lie along the border of the picture, bool [tiles]."""
+
+
+def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
+    """Compare a picture with the reference.
+
+    Args:
+        reference: Coarse log contrast without contact, float32 [rows, columns].
+        image: Coarse log contrast now, same shape.
+        flow: Displacement of the image against the reference along x and y [bins], float32
+            [2, rows, columns], of `mixtac_events.frames.displacement`.
+    """
+    tiles = np.empty((3, 5, TILE_ROWS * TILE_COLUMNS))
+    moved = np.empty_like(reference)
+    displaced(reference, flow, moved)
+    tile_moments(image - moved, image - reference, tiles[0])
+    tile_moments(reference, reference, tiles[1])
+    tile_moments(flow[0], flow[1], tiles[2])
+    shade = (tiles[0, 0] - np.median(tiles[0, 0])) ** 2
+    u, v = tiles[2, 0], tiles[2, 1]
+    middle = np.median(u), np.median(v)
+    shift = min(math.hypot(*middle), math.hypot(np.median(u[BORDER]), np.median(v[BORDER])))
+    u, v = u - middle[0], v - middle[1]
+    y, x = np.divmod(np.arange(len(u)), TILE_COLUMNS)
+    weights = u * u + v * v
+    weights /= weights.sum() + 1e-12
+    away_x, away_y = x - weights @ x, y - weights @ y
+    outward = (u * away_x + v * away_y) / (np.hypot(away_x, away_y) + 1e-3)
+    residual, change = tiles[0, 2] + shade, tiles[0, 3] + shade
+    return PictureFigures(residual, change, tiles[1, 2], shift, float(outward.mean()))
+
+
+Shown = tuple[int, F32]
+"""Centre of an exposure [us], and the coarse log contrast of the frame [rows, columns]."""
 
 
 class Validity:
-    """Follows frames and windows, and says why the force cannot be trusted.
+    """Follows frames and windows, and reports why the force cannot be trusted.
 
-    Memory is bounded; the work per frame is that of a few thousand additions, that per window does
-    not depend on what came before.
+    Memory is bounded; the work per window does not depend on what came before.
 
     Args:
-        window_us: Length of a window [us].
         width: Columns of the sensor [px].
     """
 
-    def __init__(self, window_us: int, width: int) -> None:
-        self._window_us, self._width = window_us, width
-        self._blow = BUSY_PER_MS * window_us // 1000
-        self._windows = RecentWindows(window_us)
-        self._room = np.empty(MOST_MARKS, np.uint64)
+    def __init__(self, width: int) -> None:
+        self._width = width
         self.forget()
 
     def forget(self) -> None:
-        """Forget the sensor, and what is usual of it."""
-        self._rest = [0.0, 0.0]  # ON and OFF events per window
-        self._rests = 0
-        self._leaning: deque[float] = deque(maxlen=RESTS_LEANING)
-        self._pause, self._usual_pause = 0, 0.0  # between two events [us]
-        self._noise = self._murmur = self._slope = 0.0
-        self._white: float | None = None
-        self._varies, self._limit = False, NO_LIMIT
-        self._pattern = NoisePattern(self._width, self._window_us)
-        self._held: dict[Reason, int] = {}
+        """Forget the sensor: its noise, and the events per unit of change."""
+        tiles = TILE_ROWS * TILE_COLUMNS
+        self._noise, self._murmur = np.zeros(tiles), np.zeros(tiles)
+        self._gain = 0.0
         self.clear()
 
     def clear(self) -> None:
-        """Forget the stream: a restart of its clock. Noise levels are kept."""
-        self._windows.clear()
-        self._held.clear()
-        self._before: tuple[int, F32 | None] = (0, None)
-        self._anchor: F32 | None = None
-        self._signs = np.zeros((0, 0), np.float32)
-        self._stretch = self._age = self._untold = self._low = 0
-        self._recent = [self._pattern.windows * each for each in self._rest]
-        self._busy = self._vibrating = self._foreign = self._unlike = self._spoilt = False
-        self._agreement = MotionAgreement()
-        self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
-        self._frames: deque[int] = deque(maxlen=FRAMES_KNOWN)
-        self._marks, self._again = Known(STRETCHES_KNOWN, MOST_MARKS), 0.0
-        if self._pattern.missing:
-            self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
+        """Forget the stream: a restart of its clock. Noise is kept."""
+        self._held: dict[Reason, int] = {}
+        self._agreements = deque([1.0] * JUDGED_FRAMES, JUDGED_FRAMES)
+        self._rested = 0
+        self.skip()
 
     def skip(self) -> None:
         """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
-        self._start_over()
-        self._windows.clear()
-        self._stretch = self._untold = self._low = 0
-        self._vibrating = False
-        self._disagreements.clear()
+        self._before: Shown | None = None
+        self._anchor: Shown | None = None
+        self._age = 0
+        self._ends = np.full(KEPT_WINDOWS, -1, np.int64)
+        self._net = np.zeros((KEPT_WINDOWS, 1, 1), np.int8)
+        self._next = 0
 
     @property
     def reason(self) -> Reason:
         """Why not, by the latest frames and windows; `TRUSTED` if nothing was found."""
         return min(self._held) if self._held else Reason.TRUSTED
 
-    @property
-    def noise_known(self) -> bool:
-        """Whether the noise at rest is known; until then events are compared with frames only."""
-        return self._pattern.known
-
     def window(self, end_us: int, events: Events, *, complete: bool) -> None:
-        """Take a window.
+        """Add a window.
 
         Args:
             end_us: Its end, camera clock [us].
@@ -205,255 +287,122 @@ class Validity:
             complete: Whether all of its packets arrived.
         """
         if not complete:
-            self._start_over()
+            self.skip()
+        if self._before is None:
             return
-        self._windows.add(end_us, events)
-        number = self._windows.numbers[-1]
-        if number > self._limit:
-            self._limit = NO_LIMIT
-        elif number >= self._limit - 1:
-            self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
-        self._stretch += 1
-        if self._stretch == self._pattern.windows:
-            self._stretch = 0
-            self._judge_stretch()
-
-    def _judge_stretch(self) -> None:
-        """Look at the events of the latest windows alone."""
-        count = self._pattern.windows
-        latest = self._windows.latest(count)
-        stretch = self._windows.events(latest)
-        found, brighter, twice, times, pause = marks(stretch, self._room)
-        for sign, number in enumerate((brighter, len(stretch) - brighter)):
-            usual = count * self._rest[sign]
-            self._recent[sign] += (number - self._recent[sign]) / MEMORY
-            few = SPAN * self._recent[sign] < least_number(SPAN * usual, RARE, LEAST_RECENT)
-            silent = number < least_number(usual, RARE, LEAST_RATE)
-            if silent or (few and self._rests >= RESTS_KNOWN):
-                self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        self._again += self._marks.add(self._room[:found]) - FORGOTTEN * self._again
-        wrong = self._again > MOST_AGAIN or twice > MOST_TWICE
-        wrong |= len(stretch) >= EVENTS_TIMED and times < LEAST_TIMES
-        numbers = self._windows.numbers[latest]
-        least, most = min(numbers), max(numbers)
-        ends = self._windows.ends_us[latest]
-        # Of a blow not all events are kept.
-        if most <= self._blow and ends[-1] - ends[0] == (count - 1) * self._window_us:
-            # That of a few events says little.
-            self._pause = pause if len(stretch) >= EVENTS_TIMED else 0
-            if pause > LONGEST_PAUSE * self._usual_pause > 0.0:
-                self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        even = most <= least + 1
-        if self._varies and even and least >= LEAST_EVEN and count > 1:
-            self._limit, wrong = most, True
-        self._varies |= not even and most <= 3 * least
-        # A blow is not noise, wherever it is.
-        if most <= self._blow:
-            self._pattern.judge(stretch)
-        if self._pattern.silent:
-            self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
-        if self._pattern.storm:
-            self._held[Reason.EVENTS_WITHOUT_MOTION] = HOLD_FRAMES
-        self._foreign = wrong or self._pattern.missing
-        if self._foreign:
-            self._held[Reason.EVENTS_DISAGREE] = HOLD_FRAMES
+        place, self._next = self._next, (self._next + 1) % KEPT_WINDOWS
+        self._ends[place], self._net[place] = end_us, 0
+        size = self._width // self._net.shape[2]
+        add_events(events.x, events.y, events.polarity, size, self._net[place])
 
     def frame(
-        self,
-        mid_us: int,
-        contrast: F32 | None,
-        picture: PictureFigures | None,
-        force: float,
-        estimate: float | None,
-        *,
-        vibrating: bool = False,
+        self, mid_us: int, contrast: F32 | None, picture: PictureFigures | None = None
     ) -> None:
-        """Take a frame that corrects the estimate.
+        """Add a frame that corrects the estimate.
 
         Args:
             mid_us: Centre of its exposure, camera clock [us].
             contrast: Its coarse log contrast, float32 [rows, columns]; None if unknown.
             picture: Comparison with the reference; None without one.
-            force: Its force [N].
-            estimate: Estimate at the centre of its exposure [N]; None if there is none.
-            vibrating: The force vibrates, and the skin moves to and fro within an exposure: the
-                frame is neither compared with the events nor a picture of rest.
         """
-        blow = self._is_blow(mid_us, mid_us)
-        found = set() if picture is None else self._look(picture, blow=blow)
-        if vibrating and not self._vibrating:
-            # What was found was the vibration, and this is the first frame to lead the estimate.
-            if not self._foreign:
-                self._held.pop(Reason.EVENTS_DISAGREE, None)
-            if not self._pattern.storm:
-                self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
-            self._disagreements.clear()
-            self._untold = self._low = 0
-            self._agreement, estimate = MotionAgreement(), None
-        self._vibrating = vibrating
+        found = set()
         if contrast is not None:
-            found |= self._compare(mid_us, contrast)
-        # Also where no two frames can be compared: packets are lost again and again.
-        if self._agreement.apart or self._agreement.late:
-            found.add(Reason.EVENTS_DISAGREE)
-        if estimate is not None and not blow:
-            scale = disagreement_scale(max(abs(force), abs(estimate)))
-            self._disagreements.append((force - estimate) / scale)
-            total = abs(sum(self._disagreements))
-            if total > MOST_DISAGREEMENT * DISAGREEING_FRAMES:
-                found.add(Reason.EVENTS_DISAGREE)
-        for reason, left in list(self._held.items()):
-            if left > 1:
-                self._held[reason] = left - 1
-            else:
-                del self._held[reason]
-        self._held.update(dict.fromkeys(found, HOLD_FRAMES))
-
-    def _look(self, picture: PictureFigures, *, blow: bool) -> set[Reason]:
-        """Return what is wrong with the picture of a frame."""
-        # A contact, which widens the limits, does not make good what was wrong before it.
-        found = picture_findings(picture._replace(displacement=0.0) if self._spoilt else picture)
-        if self._white is None:
-            self._white = picture.clipped
-        if picture.clipped > self._white + MOST_CLIPPED:
-            found.add(Reason.LIGHT_CHANGED)
-        else:
-            # A contact may hide what is white.
-            self._white += RISE * max(picture.clipped - self._white, 0.0)
-        before, self._unlike = self._unlike, bool(found)
-        if blow and not before:
-            # A mixture of pictures, unless the next one is like it.
-            return set()
-        self._spoilt = bool(found)
-        return found
+            found = self._compare(mid_us, contrast)
+        if picture is not None and picture.unexplained(self._noise) > 1.0:
+            found.add(Reason.PICTURE_UNLIKE_REFERENCE)
+        self._held = {reason: left - 1 for reason, left in self._held.items() if left > 1}
+        self._held |= dict.fromkeys(found, HOLD_FRAMES)
 
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
-        """Return what the frame says about the events since the frames before it."""
-        before_us, before = self._before
-        self._before = mid_us, contrast
-        mark = hash(contrast[::ROWS_APART].tobytes())
-        frozen = mark in self._frames
-        self._frames.append(mark)
-        if frozen:
-            return {Reason.FRAME_FROZEN}
+        """Return what a frame and the events since the frames before it contradict."""
+        before, self._before = self._before, (mid_us, contrast)
         if before is None or self._anchor is None:
-            self._anchor, self._signs, self._age = contrast, np.zeros_like(contrast), 0
-            self._busy = self._is_busy(mid_us, mid_us)
+            self._anchor, self._age = self._before, 0
+            self._net = np.zeros((KEPT_WINDOWS, *contrast.shape), np.int8)
             return set()
-        chosen = self._between(before_us, mid_us)
-        if chosen is None:
-            self._start_over()
-            return set()
-        told, events = np.empty_like(contrast), self._windows.events(chosen)
-        size = self._width // contrast.shape[1]
-        # At once: a call of compiled code takes longer than the few events of a window.
-        brighter, net = add_signs(events, size, told, self._signs)
+        if np.array_equal(before[1], contrast):
+            return {Reason.FRAME_FROZEN}
         self._age += 1
-        busy = self._is_busy(before_us, mid_us)
-        self._busy |= busy
-        signs = brighter, len(events) - brighter
-        found = set()
-        if not self._vibrating:
-            found = self._judge_pair(before, contrast, told, chosen, signs, net)
-        *_, strong, slope = agreement(self._anchor, contrast, self._signs)
-        ended = strong >= STRONG_BINS or self._age >= LONGEST_COMPARISON
-        if ended and strong >= FEW_BINS and not self._busy:
-            few = strong < STRONG_BINS
-            low = slope < max(LEAST_SLOPE, 0.0 if few else LEAST_SLOPE_OF_OWN * self._slope)
-            sure = strong >= 2 * STRONG_BINS or slope < -LEAST_SLOPE
-            self._low = self._low + (1 + sure) if low else 0
-            if not low and not few:
-                self._slope += (slope - self._slope) * (FALL if self._slope else 1.0)
-            if self._low >= JUDGEMENTS:
-                self._agreement.contradict()
-        if ended:
-            self._anchor, self._age, self._busy = contrast, 0, busy
-            self._signs[:] = 0.0
-        return found
+        changed, signs = self._moments(before, self._before)[2:4]
+        self._noise = follow(self._noise, changed / 2.0)
+        self._murmur = follow(self._murmur, signs)
+        # Some part of the skin rests: where all of it changes more than usual, noise has grown.
+        grown = max(1.0, float(np.quantile(changed / 2.0 / self._noise, REST_SHARE)))
+        if self._judge(2.0 * grown * self._noise, self._anchor, self._before):
+            self._rested, self._age = 0, JUDGED_FRAMES
+        else:
+            self._rested += 1
+        if self._age >= JUDGED_FRAMES:
+            self._anchor, self._age = self._before, 0
+        if self._rested == REST_FRAMES:
+            self._agreements.extend([1.0] * JUDGED_FRAMES)
+        wrong = np.median(self._agreements) < LEAST_AGREEMENT
+        return {Reason.EVENTS_DISAGREE} if wrong else set()
 
-    def _judge_pair(
-        self,
-        before: F32,
-        contrast: F32,
-        told: F32,
-        chosen: slice,
-        signs: tuple[int, int],
-        net: float,
-    ) -> set[Reason]:
-        """Compare two frames in a row; follows the noise of frames and events at rest."""
-        if Reason.EVENTS_MISSING in self._held:
-            # Silence is no rest: it would become what is usual.
-            return set()
-        size = self._width // told.shape[1]
-        # What a few events make: they come and go.
-        few = math.sqrt(FEW_EVENTS / told.size) / (size * size)
-        pair = pair_of(before, contrast, told, self._noise, max(self._murmur, few))
-        change, events, correlation = pair.change, pair.events, pair.correlation
-        if not self._noise:
-            self._noise, self._murmur = change, events
-        self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
-        self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
-        murmur = max(self._murmur, few)
-        numbers = self._windows.numbers[chosen]
-        rates = [number / len(numbers) for number in signs]
-        still = change < STILL * self._noise
-        alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
-        # A blow makes many events in a few windows, a storm in all of them.
-        most = MOST_RATE * sum(self._rest)
-        many = 0.0 < most < min(numbers)
-        untold = still and (many or alone > MOST_UNTOLD * murmur)
-        blow = not many and max(numbers) > self._blow
-        # Whole numbers, so that thirds and fifths add up.
-        step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
-        self._untold = self._untold + step if untold else 0
-        rest = still and not many and alone < AT_REST * murmur
-        usual = AT_REST * sum(self._rest)
-        noise = min(sum(rates), usual) if self._rests else sum(rates)
-        by_chance = 1.0 / math.sqrt(1.0 + noise * len(numbers) / told.size * math.pi / 2.0)
-        one_way = net >= min(LEAST_ONE_WAY, LEAST_BY_CHANCE * by_chance) * sum(numbers)
-        # No vibration that frames do not show, unless there always is one.
-        rest &= one_way or sum(rates) <= usual
-        quiet = self._rests >= RESTS_KNOWN and rest and sum(rates) < QUIET * sum(self._rest)
-        if quiet and sum(signs) >= LEAST_LEANING:
-            self._leaning.append(rates[0] / sum(rates) - self._rest[0] / sum(self._rest))
-        lean = abs(sum(self._leaning)) > MOST_LEANING * RESTS_LEANING
-        if rest and not lean:
-            latest = slice(chosen.stop - self._pattern.windows, chosen.stop)
-            if latest.start >= 0:
-                self._pattern.learn(self._windows.events(latest), (told.shape[0], told.shape[1]))
-            self._rests += 1
-            share = 1.0 / self._rests if self._rests <= RESTS_KNOWN else RISE
-            self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
-            if self._pause:
-                share = share if self._usual_pause else 1.0
-                self._usual_pause += (self._pause - self._usual_pause) * share
-        found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
-        if lean:
-            found.add(Reason.EVENTS_DISAGREE)
-        self._agreement.pair(pair, usable=one_way and not self._busy)
-        if self._agreement.certain:
-            self._pattern.confirm()
-            if lean:
-                self._leaning.clear()
-                self._rests = 0
-        return found
+    def _moments(self, before: Shown, after: Shown) -> F64:
+        """Compare the change between two frames with the events between them.
 
-    def _between(self, start_us: int, end_us: int) -> slice | None:
-        """Return the windows between the centres of two exposures; None if some are missing."""
-        half = self._window_us // 2
-        chosen = self._windows.between(start_us + half, end_us + half)
-        count, whole = chosen.stop - chosen.start, (end_us - start_us) // self._window_us
-        return chosen if count > 0 and whole - 1 <= count <= whole + 1 else None
+        Returns:
+            Of `tile_moments`: the change [log units], and ON less OFF events [1/px].
+        """
+        change, moments = after[1] - before[1], np.empty((5, len(self._noise)))
+        net = self._net[self._between(before, after)].sum(0, dtype=np.float32)
+        net /= np.float32((self._width // change.shape[1]) ** 2)
+        tile_moments(change, net, moments)
+        return moments
 
-    def _is_busy(self, start_us: int, end_us: int) -> bool:
-        """Return whether there was a vibration, or a blow, in a comparison or at its ends."""
-        return self._vibrating or self._is_blow(start_us, end_us)
+    def _between(self, before: Shown, after: Shown) -> Bools:
+        """Return which windows lie between the centres of two exposures, bool [KEPT_WINDOWS]."""
+        return (self._ends > before[0]) & (self._ends <= after[0])
 
-    def _is_blow(self, start_us: int, end_us: int) -> bool:
-        """Return whether there was a blow between two times, or within half an exposure of them."""
-        near = self._windows.between(start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US)
-        return max(self._windows.numbers[near], default=0) > self._blow
+    def _wavers(self, before: Shown, after: Shown) -> Bools:
+        """Return which tiles moved to and fro between two frames, which frames do not show."""
+        windows = self._net[self._between(before, after)]
+        way = np.abs(windows.sum(0, dtype=np.float32))
+        path = np.abs(windows).sum(0, dtype=np.float32)
+        moments = np.empty((5, len(self._noise)))
+        tile_moments(way, path, moments)
+        return np.asarray(moments[0] < ONE_WAY * moments[1])
 
-    def _start_over(self) -> None:
-        self._before, self._anchor = (0, None), None
-        self._agreement.skip()
+    def _judge(self, noise: F64, before: Shown, after: Shown) -> bool:
+        """Correlate the change between two frames with the events, where either is strong.
+
+        Args:
+            noise: Variance of the change in each tile without motion [log units^2].
+            before: The earlier frame.
+            after: The later one.
+
+        Returns:
+            Whether anything has moved by so much that both must show it.
+        """
+        _, _, changed, signs, both = self._moments(before, after)
+        # Hot pixels go on and on with one sign.
+        murmur = self._age**2 * self._murmur
+        moved = np.where(changed > SIGNAL * noise, changed - noise, 0.0)
+        fired = np.where(signs > SIGNAL * murmur, signs - murmur, 0.0)
+        # A pixel does not report a change below its threshold.
+        used = np.maximum(self._gain**2 * moved, fired) > STRONG**2
+        if used.any():
+            used &= ~self._wavers(before, after)
+        if not used.any():
+            return False
+        total, of_frames, of_events = (float(each[used].sum()) for each in (both, changed, signs))
+        agreement = total / math.sqrt(of_frames * of_events + 1e-12)
+        self._agreements.append(agreement)
+        if agreement > CHANGE_SHARE:
+            self._gain += (FALL if self._gain else 1.0) * (total / of_frames - self._gain)
+        return True
+
+
+def follow(level: F64, value: F64) -> F64:
+    """Return a level of noise after another value, its lower envelope; float64 [tiles]."""
+    share = np.where(level == 0.0, 1.0, np.where(value < level, FALL, RISE))
+    return np.asarray(level + share * (value - level))
+
+
+def warm_up() -> None:
+    """Compile what a frame and a window need, so that the first one is not late."""
+    picture = np.ones((TILE_ROWS, TILE_COLUMNS), np.float32)
+    picture_figures(picture, picture, np.zeros((2, *picture.shape), np.float32))
+    none = np.zeros(1, np.uint16)
+    add_events(none, none, np.zeros(1, np.bool_), np.int64(4), np.zeros((1, 1), np.int8))

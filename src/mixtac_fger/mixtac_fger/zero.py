@@ -11,14 +11,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixtac_fger.pictures import is_unlike
 from mixtac_fger.reference import TareError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from mixtac_fger.pictures import PictureFigures
     from mixtac_fger.reference import Reference
+    from mixtac_fger.validity import PictureFigures
 
 CONTACT = 0.006
 """Outward displacement that a contact makes [bins]: without one up to 0.005, of 0.1 N 0.009 to
@@ -101,7 +100,7 @@ class Zero:
                 f'in contact ({largest:.2f} N within the last {len(forces)} windows)',
                 remedy='release the sensor and try again',
             )
-        outward = 0.0 if picture is None or is_unlike(picture) else picture.outward
+        outward = 0.0 if picture is None or picture.unexplained() > 1.0 else picture.outward
         if known and abs(outward) > CONTACT:
             raise TareError(
                 'in contact: the skin is displaced against the reference',

@@ -28,8 +28,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import Reference, reference_name
+from mixtac_fger.validity import Reason
 from mixtac_msgs.msg import Contact, ForceQuality
 from mixtac_node.base_node import QOS_SENSOR
 from mixtac_node.stamps import stamp_to_us, us_to_stamp

@@ -10,8 +10,8 @@ import pytest
 
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import WATCHED, LiveFeed, feed_diagnosis
-from mixtac_fger.reasons import Reason
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
 from mixtac_node.diagnostics import ERROR, OK, WARN
 
 

@@ -15,9 +15,9 @@ from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.frame_worker import FrameWorker
-from mixtac_fger.reasons import Reason
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
 from mixtac_fger.zero import REST_FRAMES
 
 

@@ -10,13 +10,14 @@ from toy_sensor import SOUND
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.pictures import PictureFigures
 from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.validity import PictureFigures
 from mixtac_fger.zero import CONTACT, REST_FRAMES, Zero
 
 
-def picture(outward: float, likeness: float = 1.0) -> PictureFigures:
-    return SOUND._replace(outward=outward, likeness=likeness)
+def picture(outward: float, unlike: float = 0.0) -> PictureFigures:
+    tiles = unlike * SOUND.pattern
+    return SOUND._replace(outward=outward, residual=tiles, change=tiles)
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def test_a_release_draws_the_skin_together(reference, outward, released):
         (picture(0.0), -0.2, False),
         (picture(2.0 * CONTACT), 0.0, False),
         (picture(-2.0 * CONTACT), 0.0, False),
-        (picture(2.0 * CONTACT, likeness=0.1), 0.0, True),
+        (picture(2.0 * CONTACT, unlike=0.9), 0.0, True),
         (None, 0.0, True),
     ],
     ids=['free', 'force', 'pull', 'pressed', 'drawn', 'another gel', 'no picture'],

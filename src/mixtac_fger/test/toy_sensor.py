@@ -10,7 +10,7 @@ import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_fger.config import ARCHITECTURE, VERSION, FgerConfig, tensor_shapes
-from mixtac_fger.pictures import PictureFigures
+from mixtac_fger.validity import PictureFigures
 from mixtac_fger.weights import Model, ModelCard
 
 HEIGHT, WIDTH = 260, 346
@@ -18,18 +18,7 @@ STEP_US = 1000
 INTERVAL_US = 40_000
 EXPOSURE_US = 6000
 THRESHOLD = 0.2
-SOUND = PictureFigures(
-    likeness=1.0,
-    fading=1.0,
-    roughness=1.0,
-    shading=0.0,
-    still_shading=0.0,
-    unevenness=0.0,
-    shift=0.0,
-    displacement=0.0,
-    outward=0.0,
-    sharpness=1.0,
-)
+SOUND = PictureFigures(np.zeros(48), np.zeros(48), np.ones(48), shift=0.0, outward=0.0)
 """What the picture of a sensor that nothing touches has in common with the reference."""
 
 

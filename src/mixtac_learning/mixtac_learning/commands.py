@@ -20,7 +20,7 @@ from mixtac_learning.train.config import (
 )
 from mixtac_node.files import writable
 from mixtac_node.topics import REFERENCE
-from mixtac_sim.world.training_trials import TRAINING_PRESET
+from mixtac_sim.world.plans import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
 OptionalPath = Optional[Path]  # noqa: UP045
@@ -136,7 +136,7 @@ def evaluate(
     json: JsonFile = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
-    from mixtac_learning.judge.evaluation import run_evaluation
+    from mixtac_learning.judge.report import run_evaluation
 
     run_evaluation(
         find_model(model),

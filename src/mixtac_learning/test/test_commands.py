@@ -13,6 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mixtac_fger.config import ConfigError, FgerConfig, ModelError, from_mapping
 from mixtac_fger.weights import find_model, read_model, write_model
@@ -32,12 +34,18 @@ from mixtac_learning.train.config import (
 )
 from mixtac_learning.train.loop import TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining
-from mixtac_learning.train.run import Trained, judge_trained, run_training, train_model
+from mixtac_learning.train.run import (
+    Trained,
+    held_out,
+    judge_trained,
+    run_training,
+    train_model,
+)
 from mixtac_learning.trials.bags import BagSource
-from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_sim.world import training_trials as generation
+from mixtac_learning.trials.trial import SimulatedSource
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import TRUTH_DTYPE
-from mixtac_sim.world.training_trials import TrialSpec
 
 
 @pytest.fixture
@@ -271,3 +279,21 @@ def test_evaluating_a_missing_model_simulates_nothing(tmp_path, simulated):
     with pytest.raises(ModelError):
         training_cli.evaluate(None, str(tmp_path / 'no.safetensors'), 2, 1, 6.0)
     assert simulated == []
+
+
+@given(st.lists(st.sampled_from('abcdefgh'), min_size=2, max_size=60), st.floats(0.01, 0.9))
+def test_a_part_is_held_out_and_a_part_is_trained_on(sensors, part):
+    held = held_out(sensors, part)
+    assert held == sorted(set(held)) == held_out(list(sensors), part)
+    assert 0 < len(held) < len(sensors)
+    different = len(set(sensors))
+    kept = {sensor for index, sensor in enumerate(sensors) if index not in held}
+    if part * different >= 1.0:
+        assert kept.isdisjoint(sensors[index] for index in held)
+        assert len(kept) >= 1
+    else:
+        assert len(held) == min(max(round(part * len(sensors)), 1), len(sensors) - 1)
+
+
+def test_nothing_is_held_out_unless_asked_for():
+    assert held_out(['a', 'b', 'b'], 0.0) == []

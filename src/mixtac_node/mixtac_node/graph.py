@@ -163,7 +163,7 @@ def sensor_graph(
         path = device.partition(':')[2]
         own: dict[str, object] = {**({'socket': path} if path else {}), **reference}
         # A slow host slows the clock of all nodes down.
-        own |= {'publish_clock': True, 'slow_host': 'wait'} if simulated_time else {}
+        own |= {'publish_clock': True} if simulated_time else {}
         own |= virtual_sensor or {}
         nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:

@@ -385,32 +385,11 @@ SERVICES = (
         'Virtual sensor only: plays the scenario that the parameters describe.',
     ),
     Service(
-        'virtual_sensor/press',
-        'Virtual sensor only: presses `object` on the skin with `press_force` for `hold_seconds`.',
+        'virtual_sensor/touch',
+        'Virtual sensor only: presses, pulls, slides, turns, loads, drops, vibrates or releases an '
+        'object on the skin.',
+        'mixtac_msgs/srv/Touch',
     ),
-    Service(
-        'virtual_sensor/load',
-        'Virtual sensor only: places `object` on the skin for `hold_seconds`.',
-    ),
-    Service('virtual_sensor/drop', 'Virtual sensor only: drops `object` from `drop_height`.'),
-    Service(
-        'virtual_sensor/vibrate',
-        'Virtual sensor only: vibrates `object` on the skin, by the `vibration_` parameters.',
-    ),
-    Service(
-        'virtual_sensor/pull',
-        'Virtual sensor only: presses `object` and pulls it aside with `pull_force`, as a hanging '
-        'weight would; goes on from a press or pull.',
-    ),
-    Service(
-        'virtual_sensor/slide',
-        'Virtual sensor only: presses `object` and pulls it to the right by `slide_distance`.',
-    ),
-    Service(
-        'virtual_sensor/torsion',
-        'Virtual sensor only: presses `object` and turns it by `torsion_angle`.',
-    ),
-    Service('virtual_sensor/release', 'Virtual sensor only: removes the object from the skin.'),
     Service('fger/tare', 'Sets the zero of the force to the current value.'),
     Service('alignment/fit', 'Fits the clocks to the data received so far.'),
     Service(

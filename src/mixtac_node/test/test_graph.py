@@ -93,7 +93,7 @@ def test_simulated_time_comes_from_the_driver():
 
 def test_simulated_time_of_the_virtual_sensor_is_its_own():
     found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
-    assert found['virtual_sensor'] == {'publish_clock': True, 'slow_host': 'wait'}
+    assert found['virtual_sensor'] == {'publish_clock': True}
     assert 'playback_clock' not in found['driver']
     assert all(found[name]['use_sim_time'] for name in ('alignment', 'force_error', 'fger'))
 

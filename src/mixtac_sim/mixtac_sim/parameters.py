@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from mixtac_node import topics
 from mixtac_node.parameters import fixed, parameter
-from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.world.effects import PRESETS
 from mixtac_sim.world.profiles import PROFILES
 
@@ -36,40 +35,8 @@ class VirtualCameraParameters:
 
 
 @dataclass(frozen=True)
-class TouchParameters:
-    """The contacts that the services of the virtual sensor make; all may change at run time.
-
-    Attributes:
-        object: Object that touches the sensor on request; ~/load and ~/drop need one with a mass
-        press_force: Force of ~/press, ~/pull, ~/slide and ~/torsion
-        pull_force: Force of ~/pull across the normal
-        pull_direction: Its direction in the image: 0 to the right (x of the contact frame), 90
-            upwards (y)
-        hold_seconds: Duration of the contact; 0 holds it until ~/release
-        drop_height: Height from which ~/drop releases the object
-        vibration_frequency: Frequency of ~/vibrate
-        vibration_amplitude: Amplitude of ~/vibrate, zero to peak
-        vibration_depth: Mean depth of ~/vibrate
-        slide_distance: Distance to the right by which ~/slide pulls the object
-        torsion_angle: Angle by which ~/torsion turns the object about the normal
-    """
-
-    object: str = parameter('hemisphere', choices=tuple(LIVE_INDENTERS))
-    press_force: float = parameter(0.5, unit='N', within=(0.0, 20.0))
-    pull_force: float = parameter(0.2, unit='N', within=(0.0, 20.0))
-    pull_direction: float = parameter(0.0, unit='deg', within=(-180.0, 180.0))
-    hold_seconds: float = parameter(2.0, unit='s', within=(0.0, 3600.0))
-    drop_height: float = parameter(50.0, unit='mm', within=(0.0, 200.0))
-    vibration_frequency: float = parameter(100.0, unit='Hz', within=(1.0, 500.0))
-    vibration_amplitude: float = parameter(0.05, unit='mm', within=(0.0, 1.0))
-    vibration_depth: float = parameter(0.3, unit='mm', within=(0.01, 1.5))
-    slide_distance: float = parameter(2.0, unit='mm', within=(-5.0, 5.0))
-    torsion_angle: float = parameter(20.0, unit='deg', within=(-90.0, 90.0))
-
-
-@dataclass(frozen=True)
-class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
-    """The virtual sensor, what touches it, and the topics of its bench.
+class VirtualSensorParameters(VirtualCameraParameters):
+    """The virtual sensor, its scenario, and the topics of its bench.
 
     Attributes:
         scenario: Force profile that ~/play starts; demo begins and ends with two synchronising
@@ -78,14 +45,8 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
         lead_seconds: Delay of the start of a scenario, which is computed up to twice as far ahead
             meanwhile, 45 s at most. Gestures and camera settings during a scenario are delayed by
             up to twice this time
-        slow_host: What happens when the host does not keep up, of which a warning tells: skip
-            leaves a gap in the data, as a real camera does, so that stamps stay on the host's
-            clock; wait loses nothing and stops simulated time of camera, truth and reference until
-            the host does keep up, and, where lead_seconds is not 0, until the scenario or the next
-            45 s of it are computed. Stamps of the camera and the reference then lie in the past by
-            as much as time has stopped
-        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time; with slow_host
-            wait a slow host then slows down all nodes alike
+        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time: a slow host
+            then slows down all nodes alike
         play_on_start: Play the scenario once a driver reads the camera
         loop: Repeat the scenario without end, each time with a new seed
         reference_topic: Topic of the reference force sensor
@@ -96,7 +57,6 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     scenario: str = parameter('demo', choices=tuple(PROFILES))
     seconds: float = parameter(25.0, unit='s', within=(1.0, 3600.0))
     lead_seconds: float = parameter(2.0, unit='s', within=(0.0, 30.0))
-    slow_host: str = fixed('skip', choices=('skip', 'wait'))
     publish_clock: bool = fixed(False)
     play_on_start: bool = parameter(False)
     loop: bool = parameter(False)
@@ -123,7 +83,7 @@ class VirtualGraspParameters(VirtualCameraParameters):
             estimator does, set it to false: the fingertip then touches nothing until the first
             ~/put_back, for the zero
         publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, and let it
-            wait for the answers on `slip`, and on `force_quality` where an estimator tells the
+            wait for the answers on `slip`, and on `force_quality` where an estimator publishes the
             force, so that a slow host slows down all nodes alike
     """
 

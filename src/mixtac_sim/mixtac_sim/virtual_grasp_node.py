@@ -30,9 +30,9 @@ from mixtac_sim import SimulationError
 from mixtac_sim.arm import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
+from mixtac_sim.grids import stream
 from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
-from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.virtual_sensor_node import publish_wrenches
@@ -150,7 +150,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
             if self._clock_topic is not None:
-                self._clock_topic.publish(Clock(clock=ns_to_stamp(self._time.epoch_now_ns())))
+                self._clock_topic.publish(Clock(clock=ns_to_stamp(self._sensor.time_ns())))
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
                 self._hand_out(batch)

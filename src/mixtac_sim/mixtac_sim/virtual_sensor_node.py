@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from functools import partial
 from threading import Event, Thread
 from typing import Any, Final
@@ -16,13 +15,14 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
+from mixtac_msgs.srv import Touch
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
-from mixtac_sim.live.simulation_process import SimulationProcess
-from mixtac_sim.live.virtual_sensor import TouchControl, make_virtual_sensor
-from mixtac_sim.parameters import TouchParameters, VirtualSensorParameters
+from mixtac_sim.live.touch import TouchControl
+from mixtac_sim.live.virtual_sensor import SimulationProcess, make_virtual_sensor
+from mixtac_sim.parameters import VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.world.effects import preset
@@ -38,9 +38,8 @@ WARNING_US: Final = 100_000
 class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes the measurements of a bench.
 
-    Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time). Service
-    ``~/play`` plays the scenario; ``~/press``, ``~/pull``, ``~/load``, ``~/drop``,
-    ``~/vibrate``, ``~/slide``, ``~/torsion`` and ``~/release`` do what the parameters say.
+    Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time). The service
+    ``~/play`` plays the scenario, ``~/touch`` presses, pulls, drops or releases an object.
     ``~/force_command`` sets a force [N] that fades when no new one comes.
 
     Args:
@@ -64,8 +63,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             skew_ppm=self._settings.skew_ppm,
             preset=preset(self._settings.preset),
             process=process,
-            patient=self._settings.slow_host == 'wait',
-            skips=self._settings.slow_host == 'skip',
         )
         self._reference = self.publish_topic(
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
@@ -75,8 +72,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._truth_writer = topics.WrenchWriter(self._settings.truth_frame_id)
         self._touch = TouchControl(self._sensor)
         self.create_service(Trigger, '~/play', answering(lambda _: self._play()))
-        for name, gesture in self._touch.gestures.items():
-            self.create_service(Trigger, f'~/{name}', answering(partial(self._act, gesture)))
+        self.create_service(Touch, '~/touch', answering(self._on_touch))
         self._commands_refused = 0
         self._command = self.create_subscription(
             WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
@@ -122,12 +118,13 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._plays += 1
         return f'playing {settings.scenario} for {settings.seconds} s in {settings.lead_seconds} s'
 
-    def _act(self, gesture: Callable[[TouchParameters], str], _request: Trigger.Request) -> str:
-        return gesture(self._settings)
+    def _on_touch(self, request: Touch.Request) -> str:
+        names = request.get_fields_and_field_types()
+        return self._touch.touch(**{name: getattr(request, name) for name in names})
 
     def _on_force(self, message: WrenchStamped) -> None:
         try:
-            self._touch.follow(self._settings, message.wrench.force.z)
+            self._touch.follow(message.wrench.force.z)
         except MixtacError:
             self._commands_refused += 1
 
@@ -153,14 +150,9 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         losses = self._sensor.device.losses
         if state.lost_us > self._lost_us + WARNING_US:
             self._lost_us = state.lost_us
-            lost_s, behind_s = 1e-6 * state.lost_us, 1e-6 * state.behind_us
             self.get_logger().warning(
-                f'simulated time stopped for {lost_s:.1f} s, for a host that is too slow or a '
-                'scenario that was computed first: all stamps of camera and reference lie '
-                f'{behind_s:.1f} s behind the host clock'
-                if behind_s
-                else f'the host is too slow: the camera and the reference skipped {lost_s:.1f} s '
-                'without data',
+                'the host is too slow: simulated time stopped, and stamps of the camera and the '
+                f'reference lie {1e-6 * state.lost_us:.1f} s behind the host clock',
                 throttle_duration_sec=WARNING_PERIOD_S,
             )
         if not state.running:

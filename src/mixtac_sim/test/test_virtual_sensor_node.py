@@ -16,6 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from mixtac_msgs.srv import Touch
 from mixtac_node.base_node import QOS_FORCE
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_sim.usb.endpoints import serial_number
@@ -85,7 +86,7 @@ def test_publishes_reference_and_truth_and_plays_on_request(graph, path):
 
 def test_its_clock_stands_still_with_simulated_time(graph, path):
     got = graph.listen(Clock, '/clock', 10)
-    graph.start(NODE, f'socket:={path}', 'publish_clock:=true', 'slow_host:=wait')
+    graph.start(NODE, f'socket:={path}', 'publish_clock:=true')
     graph.spin_until(lambda: len(got) > 50 and graph.got[REFERENCE])
     newest_ns = [stamp_to_ns(each.clock) for each in got]
     assert newest_ns == sorted(newest_ns)
@@ -94,25 +95,22 @@ def test_its_clock_stands_still_with_simulated_time(graph, path):
 
 def test_touches_on_request_and_follows_commanded_forces(graph, path):
     truth = graph.got[TRUTH]
-    graph.start(
-        NODE,
-        f'socket:={path}',
-        'device_seed:=3',
-        'press_force:=0.4',
-        'hold_seconds:=0.0',
-        'object:=weight_20_g',
-    )
+    graph.start(NODE, f'socket:={path}', 'device_seed:=3')
     graph.spin_until(lambda: len(truth) > 100)
-    for gesture, words, reached in (
-        ('press', '0.4 N', lambda f: abs(f[-1] - 0.4) < 0.02),
-        ('load', 'weight_20_g', lambda f: abs(f[-1] - 0.196) < 0.01),
-        ('release', 'released', lambda f: f[-1] == 0.0),
-        ('drop', '50.0 mm', lambda f: f[-100:].max() > 1.0),
+    service, weight = '/mixtac/virtual_sensor/touch', {'object': 'weight_20_g', 'hold': 0.0}
+    for request, reached in (
+        ({'gesture': 'press', 'force': 0.4}, lambda f: abs(f[-1] - 0.4) < 0.02),
+        ({'gesture': 'load'}, lambda f: abs(f[-1] - 0.196) < 0.01),
+        ({'gesture': 'release'}, lambda f: f[-1] == 0.0),
+        ({'gesture': 'drop'}, lambda f: f[-100:].max() > 1.0),
     ):
-        answer = graph.call(Trigger, f'/mixtac/virtual_sensor/{gesture}')
+        answer = graph.call(Touch, service, Touch.Request(**weight, **request))
         assert answer.success
-        assert words in answer.message
+        assert answer.message
         graph.spin_until(lambda reached=reached: reached(normal_force(truth)))
+    answer = graph.call(Touch, service, Touch.Request(gesture='press', force=99.0))
+    assert not answer.success
+    assert '99.0' in answer.message
 
     topic = '/mixtac/virtual_sensor/force_command'
     publisher = graph.node.create_publisher(WrenchStamped, topic, QOS_FORCE)

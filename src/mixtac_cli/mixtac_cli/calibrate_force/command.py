@@ -115,7 +115,7 @@ def calibrate_force(
     pulls = parse_loads(sideways_loads, sd_g) if sideways_loads else []
     if not check:
         check_loads(known)
-    console = Console(markup=False)
+    console = Console(markup=False, highlight=False)
     if bag is not None:
         session = from_bag(bag, content, known, '' if loads else reference, pulls)
     else:
@@ -151,8 +151,7 @@ def calibrate_force(
         aside = _entry(pulled)
         _report(console, 'Known pulls', aside)
         console.print(
-            f'sideways gain of the weight file {gain:.3f} +- {gain_sd:.3f}, expected elsewhere',
-            highlight=False,
+            f'sideways gain of the weight file {gain:.3f} +- {gain_sd:.3f}, expected elsewhere'
         )
         # Weight files hold the sideways gain beside that of the normal force.
         beside = {'pulled_gain': pulled.gain, 'pulled_gain_sd': pulled.gain_sd}
@@ -257,8 +256,7 @@ def _report(console: Console, title: str, entry: dict[str, Any]) -> None:
             )
     console.print(
         f'gain {entry["gain"]:.3f} +- {entry["gain_sd"]:.3f} (one standard deviation); mean error'
-        f' {entry["mae_before_n"]:.3f} N before, {entry["mae_after_n"]:.3f} N after',
-        highlight=False,
+        f' {entry["mae_before_n"]:.3f} N before, {entry["mae_after_n"]:.3f} N after'
     )
 
 
@@ -289,8 +287,7 @@ def _check(
         console.print(
             f'{load.grams:.1f} g: known {load.force_n:.3f} N, estimated {plateau.size_n:.3f} N;'
             f' ratio {fit.gain:.3f} +- {fit.gain_sd:.3f}, {1.0 - allowed:.2f} to'
-            f' {1.0 + allowed:.2f} pass: {"pass" if passed else "FAIL"}',
-            highlight=False,
+            f' {1.0 + allowed:.2f} pass: {"pass" if passed else "FAIL"}'
         )
     passed = all(each['passed'] for each in checks)
     write_json(json, facts | {'passed': passed, 'checks': checks})

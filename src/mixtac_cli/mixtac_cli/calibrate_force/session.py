@@ -37,8 +37,8 @@ from mixtac_fger.force_calibration import (
     steady_stretches,
     unsteady,
 )
-from mixtac_fger.reasons import Reason
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
 from mixtac_fger.weights import Model
 from mixtac_node.graph import is_virtual, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
@@ -225,13 +225,12 @@ def run_live(
         ForceCalibrationError: The sensor cannot be calibrated by what was seen.
         GraphError: A node failed.
     """
-    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets.
+    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
+    # forces that are not valid count, as in a recording: loads reveal wrong ones.
     estimator: dict[str, Any] = {'model': str(model.resolve()), 'assume_free': True}
     estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
-    estimator |= {'invalid_force': 'withhold', 'tare_on_release': False}
-    # A virtual sensor on a slow host takes longer rather than losing events.
-    virtual = {'slow_host': 'wait'}
-    nodes = sensor_graph(device, estimator=estimator, virtual_sensor=virtual)
+    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
+    nodes = sensor_graph(device, estimator=estimator)
     console.print('starting the sensor; a first start compiles for some minutes')
     with ProcessGroup() as processes, Monitor(namespace, SESSION_S) as monitor:
         start_nodes(processes, nodes, namespace, params_file, 'warn')
@@ -286,7 +285,7 @@ class LiveProcedure:
         rest = self._tare(yes=yes)
         how = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
         for load in loads:
-            prompt, settings = how.format(load.grams), {'press_force': load.force_n}
+            prompt, settings = how.format(load.grams), {'force': load.force_n}
             under = self._under(load, rest, PRESS, prompt, 'press', settings)
             self._console.print('Take it off, and do not touch the sensor.')
             self._operate('release')
@@ -294,13 +293,13 @@ class LiveProcedure:
         if pulls:
             press = max(loads, key=lambda load: load.force_n)
             # A contact that a pull holds at nothing is free to move aside.
-            pull = {'press_force': press.force_n, 'pull_direction': 0.0, 'pull_force': 0.0}
+            pull = {'force': press.force_n, 'pull_direction': 0.0, 'pull': 0.0}
             self._under(press, rest, PRESS, how.format(press.grams), 'pull', pull)
             aside = self._wait('rest', PULL, lambda stretch: stretch)
             for load in pulls:
                 prompt, settings = (
                     f'Pull it aside with {load.grams:g} g',
-                    {'pull_force': load.force_n},
+                    {'pull': load.force_n},
                 )
                 under = self._under(load, aside, PULL, prompt, 'pull', pull | settings)
                 self._console.print('Take the mass off its thread; leave what presses on the gel.')
@@ -345,7 +344,7 @@ class LiveProcedure:
             return found if stretch.seconds >= HOLD_S else None
 
         found = self._wait(f'{load.grams:g} g', kind, plateau)
-        self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N', highlight=False)
+        self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N')
         return found
 
     def _off(self, plateaus: list[Plateau], under: Plateau, rest: Stretch, kind: Kind) -> Stretch:
@@ -357,10 +356,7 @@ class LiveProcedure:
     def _operate(self, gesture: str, settings: dict[str, float] | None = None) -> None:
         """Let the virtual sensor make a gesture, where it is operated."""
         if self._drives:
-            if settings is not None:
-                values = settings | {'hold_seconds': 0.0}
-                self._monitor.set_parameters('virtual_sensor', values, self._check)
-            self._monitor.trigger(f'virtual_sensor/{gesture}', self._check)
+            self._monitor.touch(gesture, self._check, hold=0.0, **(settings or {}))
 
     def _wait(self, what: str, kind: Kind, find: Callable[[Stretch], T | None]) -> T:
         """Wait until `find` accepts a steady stretch from now on, and show the force meanwhile.

@@ -7,50 +7,30 @@ from __future__ import annotations
 import datetime as dt
 import os
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
 
-from mixtac_cli.calibrate_force.session import LiveProcedure
-from mixtac_cli.demo.evaluation import WINDOW_NS
-from mixtac_cli.demo.live_table import PERIOD_S, LiveTable
-from mixtac_cli.demo.report import BAG, PRESET, Run, evaluate, print_summary
+from mixtac_cli.demo.report import BAG, WINDOW_NS, Run, evaluate, print_summary
+from mixtac_cli.live_table import LiveTable
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
-from mixtac_fger.force_calibration import ForceCalibrationError, fit_gain, load_of
 from mixtac_node.files import FileError, write_json
 from mixtac_node.graph import recorder, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
-from mixtac_node.topics import CONTACT, CONTACT_POINT, DEFAULT_NAMESPACE, Topic
+from mixtac_node.topics import CONTACT, CONTACT_POINT, DEFAULT_NAMESPACE
 
-SETTLE_S = 1.0
-LEAD_S = 8.0
-"""Delay of the scenario after time goes on again."""
-CLOCK_S = 5.0
-"""Time in which the driver finds out that the camera's clock stood still."""
-START_UP_S = 60.0
-TAIL_S = 1.0
-LOADS_G = (30.0, 60.0, 90.0)
-"""Known loads by which the demo calibrates the sensor [g]."""
-DROP_COUNTERS = {
-    'driver': (
-        'usb transfers dropped',
-        'bytes dropped',
-        'frames dropped',
-        'imu dropped',
-        'external edges dropped',
-        'camera dropped',
-        'camera dvs dropped',
-        'camera external input dropped',
-    ),
-    'fger': ('frames_dropped',),
-    'recorder': ('messages dropped',),
-}
-"""Diagnostics of each node that count what it received and did not pass on."""
+PRESET: Final = 'paper_like'
+"""What the shipped model was trained for."""
+LEAD_S: Final = 8.0
+"""Delay of the scenario after time goes on again [s]."""
+TAIL_S: Final = 1.0
+"""Time in which what was simulated last reaches the recorder [s]."""
+START_S: Final = 120.0
+"""Longest time of the sensor before the scenario for which forces are kept [s]."""
 
 
 def demo(
@@ -78,40 +58,39 @@ def demo(
 ) -> None:
     """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
     console = Console(markup=False)
-    now = dt.datetime.now().astimezone()
-    folder = out or Path('demo_out') / f'{now:%Y%m%d-%H%M%S}'
-    _private_domain(console)
+    folder = out or Path('demo_out') / f'{dt.datetime.now().astimezone():%Y%m%d-%H%M%S}'
+    # Apart from other ROS graphs on this machine.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    domain = os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    console.print(f'ROS_DOMAIN_ID={domain} (for tools in another terminal)')
     try:
         folder.mkdir(parents=True)
     except OSError as error:
         raise FileError(
             f'cannot create folder {folder}: {error.strerror}', remedy='name a new folder in --out'
         ) from error
-    run, failed = _run_graph(console, folder, seconds, seed, device_seed, model)
+    with ProcessGroup(folder / 'log') as processes:
+        run = _run_graph(console, processes, folder / BAG, seconds, seed, device_seed, model)
+        codes = {**processes.stop('recorder'), **processes.stop()}
     console.print('aligning and comparing')
     report = evaluate(folder, run, seconds, seed, device_seed)
     for path in (folder / 'demo.json', json):
         write_json(path, report)
     print_summary(console, report, folder)
-    if failed:
+    if failed := {name: code for name, code in codes.items() if code}:
         raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')
 
 
-def _private_domain(console: Console) -> None:
-    """Keep the demo apart from other ROS graphs on this machine."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    console.print(f'ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]} (for tools in another terminal)')
-
-
 def _run_graph(
-    console: Console, out: Path, seconds: float, seed: int, device_seed: int, model: Path | None
-) -> tuple[Run, dict[str, int]]:
-    """Run the graph through the scenario, recorded to the folder `bag`.
-
-    Returns:
-        What was measured, and the exit status of nodes that did not end cleanly.
-    """
+    console: Console,
+    processes: ProcessGroup,
+    bag: Path,
+    seconds: float,
+    seed: int,
+    device_seed: int,
+    model: Path | None,
+) -> Run:
+    """Run the graph through the scenario, record it, and return what was measured live."""
     virtual_sensor = {
         'seed': seed,
         'device_seed': device_seed,
@@ -121,110 +100,67 @@ def _run_graph(
         'play_on_start': False,
         'loop': False,
         'lead_seconds': LEAD_S,
-        'slow_host': 'wait',
     }
-    # A blow saturates the sensor for an instant, and its peak is to be seen.
+    # An impact saturates the sensor for an instant, and its peak is to be seen.
     estimator = {'invalid_force': 'publish'}
     if model is not None:
         estimator['model'] = str(model.resolve())
-    # Less for a slow host to do: packets as long as a window, and no inertial samples.
+    # Less work for a slow host: packets as long as a window, and no inertial samples.
     driver = {
         'event_message_time_threshold': WINDOW_NS / 1e9,
         'imu_acc_enabled': False,
         'imu_gyro_enabled': False,
         'imu_temp_enabled': False,
-        # While the host computes, the camera sends nothing.
+        # While the host is behind, the camera sends nothing.
         'stream_timeout': 600.0,
     }
-    sensor = sensor_graph(
+    nodes = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
     )
-    console.print('starting virtual sensor, driver and estimator')
-    with (
-        ProcessGroup(out / 'log') as processes,
-        Monitor(DEFAULT_NAMESPACE, seconds + START_UP_S) as monitor,
-    ):
-        start_nodes(processes, sensor)
-        monitor.bring_up_all(sensor, processes)
+    nodes.append(recorder(bag, exclude=(CONTACT, CONTACT_POINT)))
+    console.print('starting virtual sensor, driver, estimator and recorder')
+    with Monitor(DEFAULT_NAMESPACE, seconds + START_S) as monitor:
+        start_nodes(processes, nodes)
+        monitor.bring_up_all(nodes, processes)
         monitor.listen()
         monitor.wait_for_force(processes.check)
-        gain = _calibrate(console, processes, monitor)
-        _record(out / BAG, processes, monitor, exclude=(CONTACT, CONTACT_POINT))
-        # Messages in the first half second after discovery are often lost.
-        time.sleep(SETTLE_S)
-        lost_s = _lost_s(monitor)
-        _compute_scenario(console, processes, monitor)
-        time.sleep(CLOCK_S)
-        computed_s = _lost_s(monitor) - lost_s
-        first, pairs = monitor.force_count, len(monitor.clock_pairs())
-        LiveTable(console, monitor).show(LEAD_S - CLOCK_S + seconds + TAIL_S, processes.check)
-        arrival, stamp, _ = monitor.force()
-        waited_s = _lost_s(monitor) - lost_s - computed_s
-        run = Run(
-            gain=gain,
-            dropped=_dropped(monitor),
-            computed_s=computed_s,
-            waited_s=waited_s,
-            clock_pairs=monitor.clock_pairs()[pairs:],
-            arrival_ns=arrival[first:],
-            stamp_ns=stamp[first:],
-        )
-        codes = (processes.stop('recorder'), processes.stop())
-        failed = {name: code for each in codes for name, code in each.items() if code}
-    return run, failed
+        return _play(LiveTable(console, monitor), processes, monitor, seconds)
 
 
-def _record(
-    bag: Path, processes: ProcessGroup, monitor: Monitor, exclude: Sequence[Topic] = ()
-) -> None:
-    """Start to record to a new bag; return when that has begun."""
-    monitor.diagnostics.pop(f'{DEFAULT_NAMESPACE}/recorder', None)
-    start_nodes(processes, [recorder(bag, exclude=exclude)])
-    while not monitor.values('recorder'):
-        time.sleep(0.1)
+def _play(table: LiveTable, processes: ProcessGroup, monitor: Monitor, seconds: float) -> Run:
+    """Play the scenario while the table shows it; return what was measured."""
+
+    def sensor() -> dict[str, str]:
         processes.check()
+        return monitor.values('virtual_sensor')
 
+    def lost_s() -> float:
+        return float(sensor().get('lost_us', 0)) / 1e6
 
-def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
-    """Calibrate as `mixtac calibrate-force` does; return the gain, 1 if that is refused."""
-    console.print('calibrating by known loads, as mixtac calibrate-force does')
-    procedure = LiveProcedure(console, processes, monitor, virtual=True)
-    loads = [load_of(grams, 0.0) for grams in LOADS_G]
-    try:
-        session = procedure.lead(loads)
-        calibration = fit_gain(session.loads, session.plateaus)
-    except ForceCalibrationError as error:
-        # As on a host that is too busy; what follows is worth showing all the same.
-        console.print(f'not calibrated: {error}', soft_wrap=True)
-        monitor.trigger('virtual_sensor/release', processes.check)
-        return 1.0
-    monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
-    console.print(f'gain {calibration.gain:.3f}', highlight=False)
-    return calibration.gain
+    def starting() -> str:
+        return 'the scenario starts' if sensor().get('plays', '0') == '0' else ''
 
+    def playing() -> str:
+        return 'playing the scenario' if sensor()['playing'] == 'True' else ''
 
-def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monitor) -> None:
-    """Start the scenario; return when it is computed."""
+    table.show(lambda: '' if sensor() and monitor.values('recorder') else 'the recorder starts')
+    started_s = lost_s()
     monitor.trigger('virtual_sensor/play', processes.check)
-    while int(monitor.values('virtual_sensor').get('plays', 0)) < 1:
-        time.sleep(0.1)
-        processes.check()
-    with console.status('computing the scenario') as status:
-        while (values := monitor.values('virtual_sensor')).get('computing') == 'True':
-            done_s = float(values['ahead_us']) / 1e6
-            status.update(f'computing the scenario: {done_s:.0f} s are ready')
-            time.sleep(PERIOD_S)
-            processes.check()
-
-
-def _lost_s(monitor: Monitor) -> float:
-    """Return for how long simulated time has stopped so far [s]."""
-    return float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
-
-
-def _dropped(monitor: Monitor) -> int:
-    return sum(
-        int(float(monitor.values(node).get(key, 0)))
-        for node, keys in DROP_COUNTERS.items()
-        for key in keys
+    table.show(starting)
+    computed_s = lost_s() - started_s
+    table.show(playing)
+    time.sleep(TAIL_S)
+    arrival, stamp = monitor.estimate.times_ns
+    played = stamp > stamp[-1] - round(1e9 * (seconds + TAIL_S))
+    return Run(
+        dropped=sum(
+            int(float(value))
+            for node in ('driver', 'fger', 'recorder')
+            for key, value in monitor.values(node).items()
+            if key.endswith('dropped')
+        ),
+        computed_s=computed_s,
+        waited_s=lost_s() - started_s - computed_s,
+        arrival_ns=arrival[played],
+        stamp_ns=stamp[played],
     )

@@ -16,6 +16,7 @@ import pytest
 import typer
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
+from rich.console import Console
 from typer.testing import CliRunner
 
 from mixtac_cli.calibrate_force import command, session
@@ -24,7 +25,7 @@ from mixtac_cli.calibrate_force.session import estimated
 from mixtac_events.arrays import Events
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
-from mixtac_fger.force_calibration import GRAVITY, ForceCalibrationError
+from mixtac_fger.force_calibration import GRAVITY, PULL, ForceCalibrationError, fit_gain
 from mixtac_fger.weights import find_model, read_model
 from mixtac_recordings import camera_stream
 from mixtac_recordings.dataset import TrialSpec
@@ -293,3 +294,78 @@ def test_the_virtual_sensor_is_calibrated_live(ros_domain, tmp_path):
     assert found['mae_after_n'] < 0.05
     assert found['sideways']['mae_after_n'] < 0.05
     assert read_model(model).card.training[SERIAL_KEY] == found['serial'] != ''
+
+
+class Operated:
+    """Monitor and nodes of a sensor that reads 0.8 of presses and 0.5 of pulls; time is simulated.
+
+    Each look at the force shows 0.2 s more.
+    """
+
+    def __init__(self):
+        self.load, self.asked = (0.0, 0.0, 0.0), {}
+        self.rows = [(0, 0.0, 0.0, 0.0)]
+        self.serial, self.random = 'virtual', np.random.default_rng(1)
+
+    def check(self):
+        """Nothing fails."""
+
+    def set_parameters(self, _node, values, _check):
+        self.asked |= values
+
+    def touch(self, gesture, _check, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
+        assert (hold, pull_direction) == (0.0, 0.0)
+        self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
+
+    def trigger(self, service, _check):
+        """Nothing changes at a tare."""
+
+    @property
+    def force_count(self):
+        target = np.array(self.load) * (0.8, 0.5, 0.5)
+        for _ in range(100):
+            self.rows.append((len(self.rows) * 2_000_000, *target))
+        return len(self.rows)
+
+    reference_count = property(lambda self: len(self.rows))
+
+    def _table(self):
+        rows = np.array(self.rows)
+        return rows[:, 0].astype(np.int64), rows[:, 1:] + self.random.normal(
+            0, 1e-3, (len(rows), 3)
+        )
+
+    def force(self):
+        stamps, forces = self._table()
+        return stamps + 5_000_000, stamps, forces[:, 0]
+
+    def sideways(self):
+        return self._table()[1][:, 1:]
+
+    def reference(self):
+        stamps, forces = self._table()
+        return stamps + 5_000_000, forces[:, 0] / 0.8 + 0.1
+
+    def reference_sideways(self):
+        return self._table()[1][:, 1:] / 0.5
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, known):
+    monkeypatch.setattr(session, 'POLL_S', 0.0)
+    operated, loads = Operated(), parse_loads('20,50,100', 1.0)
+    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
+    found = live.lead(loads, parse_loads('20,20', 1.0), known)
+    assert found.known_by == ('weights' if known else 'reference')
+    assert fit_gain(found.loads, found.plateaus).gain == pytest.approx(1.25, rel=0.02)
+    assert fit_gain(found.pull_loads, found.pulls, PULL).gain == pytest.approx(2.0, rel=0.03)
+
+
+def test_a_load_that_never_arrives_is_refused(monkeypatch):
+    monkeypatch.setattr(session, 'POLL_S', 0.0)
+    operated = Operated()
+    operated.trigger = lambda *_: None
+    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
+    with pytest.raises(ForceCalibrationError) as caught:
+        live.lead(parse_loads('20,50', 1.0))
+    assert caught.value.reason == 'contact'

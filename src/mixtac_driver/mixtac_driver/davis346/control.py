@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.model import Features, Identity
-from mixtac_driver.davis346.registers import BLOCKS, Aps, Dvs, Module, Mux
+from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux, SystemInfo
 from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
     APS_REGION,
@@ -319,16 +319,6 @@ class CameraControl:
                 self._writer.change(self._settings, wanted)
             self._settings = wanted
 
-    def keep(self, parameters: CameraParameters, pixel_filter: PixelFilter = ()) -> None:
-        """Take settings for when the camera is opened again; nothing is written.
-
-        Args:
-            parameters: Settings.
-            pixel_filter: Pixels whose events the camera drops, most important first.
-        """
-        with self._lock:
-            self._settings = parameters, pixel_filter
-
     def set_exposure(self, exposure_us: int) -> bool:
         """Change only the exposure [us]; for control loops, because it never waits.
 
@@ -400,7 +390,8 @@ class CameraControl:
         with self._lock:
             writer = self._attached()
             addresses = [*map(_address, register_writes(self.parameters, writer.identity))]
-            addresses += [(module, number) for module, kind in BLOCKS.items() for number in kind]
+            described = ((Module.DVS, Dvs), (Module.APS, Aps), (Module.SYSTEM_INFO, SystemInfo))
+            addresses += [(module, number) for module, kind in described for number in kind]
             read = writer.protocol.read
             return {f'{int(m)}:{int(p)}': read(m, p) for m, p in sorted(set(addresses))}
 

@@ -62,8 +62,8 @@ class CameraModel:
         logic_version: Version of the FPGA logic, which defines the register layout
             (`mixtac_driver.davis346.registers`).
         minimum_logic_patch: Oldest patch of that version.
-        biases: Register address and default of each bias, in the order of writing. Biases that
-            `BiasParameters` knows by the same name can be set, the others keep their default.
+        biases: Biases by name, in the order of writing. Those of `BiasParameters` can be set, the
+            others keep their default.
         chip_registers: Chip registers and their defaults, in the order of writing.
     """
 
@@ -77,7 +77,7 @@ class CameraModel:
     minimum_firmware: int
     logic_version: int
     minimum_logic_patch: int
-    biases: Mapping[str, tuple[int, Bias]]
+    biases: Mapping[str, Bias]
     chip_registers: Mapping[Chip, int]
 
     @property

@@ -9,9 +9,7 @@ half at the number given, the lower one at the next.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import IntEnum
-from types import MappingProxyType
 
 PIXEL_FILTERS = 8
 """Single-pixel filters of the logic, from Dvs.PIXEL_0_ROW on."""
@@ -173,18 +171,3 @@ class Usb(IntEnum):
 
     RUN = 0
     EARLY_PACKET_DELAY = 1
-
-
-BLOCKS: Mapping[int, type[IntEnum]] = MappingProxyType(
-    {
-        Module.MUX: Mux,
-        Module.DVS: Dvs,
-        Module.APS: Aps,
-        Module.IMU: Imu,
-        Module.EXTERNAL_INPUT: ExternalInput,
-        Module.CHIP: Chip,
-        Module.SYSTEM_INFO: SystemInfo,
-        Module.USB: Usb,
-    }
-)
-"""Registers by module; biases of the chip apart."""

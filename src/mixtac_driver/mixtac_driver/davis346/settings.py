@@ -16,10 +16,16 @@ from mixtac_driver.davis346.model import DAVIS346
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter, specs
 
-LAST_COLUMN, LAST_ROW = DAVIS346.width - 1, DAVIS346.height - 1
+LAST_COLUMN = DAVIS346.width - 1
+"""Last column of the pixel array."""
+LAST_ROW = DAVIS346.height - 1
+"""Last row of the pixel array."""
 MAXIMUM_EXPOSURE_US = 4_194_303
+"""Longest exposure that the logic can count [us]."""
 MAXIMUM_FRAME_INTERVAL_US = 8_388_607
+"""Longest frame interval that the logic can count [us]."""
 MAXIMUM_PULSE_US = 1_048_575
+"""Longest pulse that the logic can count [us]."""
 
 
 class Region(NamedTuple):

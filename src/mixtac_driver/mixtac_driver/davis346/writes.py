@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from mixtac_driver.clock import Origin
-from mixtac_driver.davis346.biases import biases
 from mixtac_driver.davis346.model import CameraModel, Identity
 from mixtac_driver.davis346.registers import (
     PIXEL_FILTERS,
@@ -69,11 +68,7 @@ def register_writes(
     """
     p.check()
     model = identity.model
-    wanted = biases(p)
-    writes = [
-        Write(Module.CHIP, address, wanted.get(name, default).encode())
-        for name, (address, default) in model.biases.items()
-    ]
+    writes = [Write(Module.CHIP, bias.address, bias.encode(p)) for bias in model.biases.values()]
     writes += [Write(Module.CHIP, register, n) for register, n in model.chip_registers.items()]
     writes += [
         Write(Module.MUX, Mux.DROP_EXTERNAL_INPUT_ON_STALL, 1),

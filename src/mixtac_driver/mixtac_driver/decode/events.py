@@ -19,7 +19,9 @@ from numba import int64, njit, uint8, uint16, uint64
 
 BLOCK = 256
 """Words that `take_block` takes at once."""
-_ROW, _EVENT, _STAMP = (0, 0xFFFF0000, 1), (1, 0xFFFFFFFF, 0), (0, 0x0000FFFF, 0x10000)
+_ROW = (0, 0xFFFF0000, 1)
+_EVENT = (1, 0xFFFFFFFF, 0)
+_STAMP = (0, 0x0000FFFF, 0x10000)
 _KINDS = (_EVENT, _ROW, _EVENT, _EVENT, *[_EVENT] * 4, *[_STAMP] * 8)
 _ADVANCE, _KEEP, _SCALE = np.array(_KINDS, np.uint64).T.copy()
 """What a word of a block does, by its bits 15:12. The output advances by _ADVANCE. The header, time

@@ -47,10 +47,21 @@ from mixtac_driver.decode.state import (
     Buffers,
 )
 
-DONE, FULL, FRAME, RESET = range(4)
-"""Reasons why `decode_words` returns: end of the words, no room, frame complete, clock reset."""
+DONE = 0
+"""`decode_words` returns because the words ended."""
+FULL = 1
+"""It returns because an output has no room."""
+FRAME = 2
+"""It returns because a frame is complete."""
+RESET = 3
+"""It returns because the clock was reset."""
 Record = Any
-HAS_ACCELERATION, HAS_ROTATION, HAS_TEMPERATURE = 0x80, 0x40, 0x20
+HAS_ACCELERATION = 0x80
+"""Bit of the info byte: acceleration follows."""
+HAS_ROTATION = 0x40
+"""Bit of the info byte: rotation follows."""
+HAS_TEMPERATURE = 0x20
+"""Bit of the info byte: temperature follows."""
 
 
 @njit(nogil=True)

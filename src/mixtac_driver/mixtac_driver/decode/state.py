@@ -18,10 +18,20 @@ from numpy.typing import NDArray
 
 from mixtac_driver.davis346.model import Geometry
 
-RESET_COLUMN, SIGNAL_COLUMN, NO_COLUMN = 0, 1, -1
+RESET_COLUMN = 0
+"""Type of a column of reset samples."""
+SIGNAL_COLUMN = 1
+"""Type of a column of signal samples."""
+NO_COLUMN = -1
+"""Column type between two columns."""
 IMU_BYTES = 14
-IMU_OUTSIDE, IMU_AWAITS_INFO = -1, -2
+"""Payload of an inertial sample [bytes]."""
+IMU_OUTSIDE = -1
+"""Index of the next byte between two inertial samples."""
+IMU_AWAITS_INFO = -2
+"""Index of the next byte between start word and info byte."""
 READINGS_CAPACITY = 256
+"""Inertial samples, and edges, that wait to be taken at most."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ They run in the executor's thread and wait there, for a bounded time, for the de
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from functools import partial
 from typing import Any
@@ -132,7 +133,9 @@ class DriverServices:
             mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
             self._settings.use_mask(mask, self._source.apply)
         except MixtacError:
-            self._restore(before)
+            # Where the camera does not accept the filters, the host masks these pixels as well.
+            with contextlib.suppress(UsbError):
+                self._settings.use_mask(before, self._source.apply)
             raise
         if path:
             save_mask(mask, path)
@@ -149,15 +152,6 @@ class DriverServices:
             device = self._settings.parameters.device
             raise DriverError(f'{device} is a recording: {otherwise}')
         return control
-
-    def _restore(self, mask: PixelMask) -> None:
-        try:
-            self._settings.use_mask(mask, self._source.apply)
-        except UsbError:
-            # It gets the mask when it is opened again.
-            if self._source.control is not None:
-                self._settings.use_mask(mask, self._source.control.keep)
-            raise
 
     def _watch_with(
         self,

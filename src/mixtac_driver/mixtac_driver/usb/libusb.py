@@ -28,16 +28,13 @@ from mixtac_driver.usb.protocol import usb_failure
 from mixtac_driver.usb.transport import Stalls, Transfer, TransferQueue, TransportCounters
 
 BULK = 2
-COMPLETED, FAILED, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE, OVERFLOW = range(7)
-"""Status of a finished transfer (enum libusb_transfer_status)."""
-_ERRNO = {
-    FAILED: errno.EIO,
-    TIMED_OUT: errno.ETIMEDOUT,
-    CANCELLED: errno.ECANCELED,
-    STALLED: errno.EPIPE,
-    NO_DEVICE: errno.ENODEV,
-    OVERFLOW: errno.EOVERFLOW,
-}
+"""Type of a bulk transfer (enum libusb_transfer_type)."""
+COMPLETED = 0
+"""Status of a transfer that ended as it should (enum libusb_transfer_status)."""
+CANCELLED = 3
+"""Status of a cancelled transfer."""
+_ERRNO = {2: errno.ETIMEDOUT, 4: errno.EPIPE, 5: errno.ENODEV, 6: errno.EOVERFLOW}
+"""Error number by status: time-out, stall, no device, overflow; others are input/output errors."""
 _INTERRUPTED = -10
 
 

@@ -44,15 +44,6 @@ def test_what_did_not_change_is_not_written(camera, fake):
     assert fake.writes() == [(2, 12, 60480), (2, 13, 604800)]
 
 
-def test_biases_of_every_kind_are_written_when_they_change(camera, fake):
-    biases = {'ApsCas_voltage': 1, 'ApsCas_current': 2, 'SSN_ref': 2, 'SSN_reg': 3}
-    camera.apply(DriverParameters(**biases, SSN_mode=1, SSN_level=2))
-    assert fake.writes() == [
-        (5, 1, 1 | 2 << 6),
-        (5, 36, 1 | 2 << 2 | 2 << 4 | 3 << 10),
-    ]
-
-
 def test_the_chip_learns_of_the_shutter_first(camera, fake):
     camera.apply(DriverParameters(aps_global_shutter=False))
     assert fake.writes() == [(5, 142, 0), (2, 7, 0)]
@@ -111,16 +102,6 @@ def test_a_request_that_fails_sets_back_what_was_written(camera, fake):
     # Whether the refused one was obeyed is not known, so it is written anew.
     camera.apply(DriverParameters())
     assert fake.writes() == [(2, 13, 1_209_600)]
-
-
-def test_settings_survive_closing(fake):
-    camera = Davis346(backend=FakeBackend(fake))
-    camera.apply(DriverParameters(aps_exposure=1000))
-    for _ in range(2):
-        with camera:
-            assert fake.registers[2, 12] == 30240
-        fake.registers[2, 12] = 0
-    assert not camera.status().is_open
 
 
 @settings(max_examples=50)

@@ -9,12 +9,10 @@ import itertools
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_driver import device as device_module
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346 import model as model_module
 from mixtac_driver.errors import ConfigurationError, UnsupportedCameraError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.source import SourceKind, source_kind
 
 MODULE = """
 from dataclasses import replace
@@ -63,11 +61,6 @@ def camera(chip, device='davis240', **parameters):
     fake = FakeCamera(registers={**SIZES, (6, 1): chip})
     p = DriverParameters(device=device, **parameters)
     return fake, Davis346(p, backend=OtherBackend(fake))
-
-
-def test_the_name_of_a_model_is_a_device_string():
-    assert source_kind('davis240') is SourceKind.CAMERA
-    device_module.check_device('dvs240')
 
 
 def test_a_smaller_camera_is_opened_with_its_sizes_and_biases():

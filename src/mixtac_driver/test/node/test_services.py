@@ -141,33 +141,6 @@ def test_without_a_stream_the_mask_stays(rig, monkeypatch):
     assert rig.settings.mask.pixels == ((300, 200),)
 
 
-@pytest.mark.parametrize('counts', [False, True])
-def test_a_mask_that_cannot_be_restored_is_there_when_the_camera_is_opened_again(
-    rig, monkeypatch, counts
-):
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
-    rig.settings.use_mask(PixelMask([(300, 200)], SIZE), rig.camera.apply)
-    rig.camera.open()
-
-    def step():
-        if rig.fake.registers[1, 12] == 346:
-            # The filters are open.
-            rig.fake.refused |= {(1, 11 + k) for k in range(16)}
-        if counts:
-            watch(rig)
-
-    rig.decode(step)
-    answer = rig.node.call('~/find_hot_pixels')
-    assert not answer.success
-    rig.stop.set()
-    rig.thread.join(10)
-    rig.fake.refused.clear()
-    rig.camera.close()
-    rig.camera.open()
-    assert rig.fake.registers[1, 12] == 300
-    assert rig.settings.mask.pixels == ((300, 200),)
-
-
 def test_a_file_that_cannot_be_written_is_refused_before_counting(rig):
     rig.settings.parameters = replace(rig.settings.parameters, hot_pixels_file='/none/mask.png')
     rig.decode(lambda: None)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import errno
 import struct
-import threading
 import time
 from functools import partial
 
@@ -16,7 +15,6 @@ from usb.core import USBError
 
 from mixtac_driver.device import Connection
 from mixtac_driver.errors import DisconnectedError, UsbError
-from mixtac_driver.usb import transport
 from mixtac_driver.usb.transport import BulkReader
 
 
@@ -63,13 +61,6 @@ def got(reader, seconds=2.0):
     return None
 
 
-def test_timeouts_are_normal(fake, make_reader):
-    reader = make_reader()
-    assert reader.get(0.005) is None
-    fake.send([1])
-    assert got(reader) is not None
-
-
 def test_data_before_a_disconnect_come_first_then_the_error(fake, make_reader):
     reader = make_reader()
     fake.send([1])
@@ -97,24 +88,3 @@ def test_a_stall_is_cleared(fake, make_reader):
     assert reader.get(1.0) is None
     assert got(reader) is not None
     assert reader.counters.stalls == 1
-
-
-def test_endless_stalls_end_reading(fake, make_reader):
-    for _ in range(20):
-        fake.bulk_errors.put(USBError('pipe', -9, errno.EPIPE))
-    reader = make_reader()
-    for _ in range(transport.MOST_STALLS):
-        assert reader.get(1.0) is None
-    with pytest.raises(UsbError):
-        reader.get(1.0)
-
-
-def test_stop_ends_a_waiting_get(make_reader):
-    reader = make_reader()
-    result = []
-    consumer = threading.Thread(target=lambda: result.append(reader.get(30.0)))
-    consumer.start()
-    reader.stop()
-    consumer.join(5.0)
-    assert result == [None]
-    assert reader.get(30.0) is None

@@ -4,24 +4,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_learning.experiments.harness import Context, experiment
-from mixtac_learning.experiments.report import Outcome, Row, Value, mark
-from mixtac_learning.experiments.sizes import (
-    DYNAMIC,
-    EVENTS,
-    FGER,
-    FRAMES,
-    FUSION,
-    HOLD,
-    IMPACT,
-    STATIC,
+from mixtac_learning.experiments.harness import (
+    Context,
+    Outcome,
+    Row,
+    Value,
+    experiment,
+    mark,
 )
 from mixtac_learning.experiments.training import (
     MODELS,
@@ -46,16 +44,39 @@ STABILITY_CONDITIONS = (
 Bins = list['NDArray[np.float64]']
 
 
+def rows_of(
+    found: Estimates,
+    *,
+    simulated: bool,
+    paper: Mapping[str, Mapping[str, float]],
+    place: str,
+    conditions: str,
+    more: Callable[[str, Sequence[Sequence[TrialEstimate]]], Row] | None = None,
+) -> list[Row]:
+    """Return MAE, RMSE and R2 of each model, and a further row.
+
+    Args:
+        found: Estimates.
+        simulated: Whether the trials are simulated.
+        paper: The paper's values by model.
+        place: Section, figure or table of the paper.
+        conditions: Which trials these are.
+        more: Returns the further row from a model and its estimates by seed; None for none.
+    """
+    rows: list[Row] = []
+    for model, by_seed in found.items():
+        name, known = MODELS[model].label, paper[model]
+        rows += error_rows(name, by_seed, known, place, conditions, simulated=simulated)
+        if more is not None:
+            rows.append(replace(more(model, list(by_seed.values())), simulated=simulated))
+    return rows
+
+
 @experiment
 def stability(context: Context) -> Outcome:
     """Long holds: whether the error grows within 25 s."""
     return force_outcome(
-        context,
-        HOLD,
-        'stability',
-        rows=_stability_rows,
-        draw=_draw_stability,
-        conditions='whole trials',
+        context, 'long_term', 'stability', _stability_rows, _draw_stability, 'whole trials'
     )
 
 
@@ -129,15 +150,14 @@ def _draw_stability(path: Path, found: Estimates, *, simulated: bool) -> Path:
 
 
 INPUTS_PAPER = {
-    FRAMES: {'mae': 0.06, 'rmse': 0.08},
-    EVENTS: {'mae': 0.12, 'rmse': 0.14},
-    FGER: {'mae': 0.04, 'rmse': 0.05},
+    'frames': {'mae': 0.06, 'rmse': 0.08},
+    'events': {'mae': 0.12, 'rmse': 0.14},
+    'fger': {'mae': 0.04, 'rmse': 0.05},
     OURS: {'mae': 0.04, 'rmse': 0.05},
 }
 """Errors [N]; our network is compared with the paper's."""
-INPUTS_PAPER_HZ = {FRAMES: 25.0, EVENTS: 500.0, FGER: 500.0, OURS: 500.0}
+INPUTS_PAPER_HZ = {'frames': 25.0, 'events': 500.0, 'fger': 500.0, OURS: 500.0}
 INPUTS_PLACE = 'section IV-C, table II'
-INPUTS_CONDITIONS = 'dynamic trials'
 SHOWN_S = 5.0
 """Length of the part shown in the figure [s]."""
 
@@ -145,30 +165,17 @@ SHOWN_S = 5.0
 @experiment
 def inputs(context: Context) -> Outcome:
     """Frames, events, or both, on dynamic forces."""
-    return force_outcome(
-        context,
-        DYNAMIC,
-        'inputs',
-        rows=_inputs_rows,
-        draw=_draw_inputs,
-        conditions=INPUTS_CONDITIONS,
+
+    def rate(model: str, by_seed: Sequence[Sequence[TrialEstimate]]) -> Row:
+        name, text = f'{MODELS[model].label}: rate', 'distinct forces per second'
+        found = Value.of(rate_hz(trials) for trials in by_seed)
+        return Row(name, found, INPUTS_PAPER_HZ[model], INPUTS_PLACE, 'Hz', text)
+
+    conditions = 'dynamic trials'
+    rows = partial(
+        rows_of, paper=INPUTS_PAPER, place=INPUTS_PLACE, conditions=conditions, more=rate
     )
-
-
-def _inputs_rows(found: Estimates, *, simulated: bool) -> list[Row]:
-    rows: list[Row] = []
-    for model, by_seed in found.items():
-        name = MODELS[model].label
-        paper = INPUTS_PAPER[model]
-        rows += error_rows(
-            name, by_seed, paper, INPUTS_PLACE, INPUTS_CONDITIONS, simulated=simulated
-        )
-        rate = Value.of(rate_hz(trials) for trials in by_seed.values())
-        text = 'distinct forces per second'
-        rows.append(
-            Row(f'{name}: rate', rate, INPUTS_PAPER_HZ[model], INPUTS_PLACE, 'Hz', text, simulated)
-        )
-    return rows
+    return force_outcome(context, 'dynamic', 'inputs', rows, _draw_inputs, conditions)
 
 
 def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
@@ -176,7 +183,7 @@ def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
     first = found[OURS][0][0]
     start = first.t_us[0] + 0.3 * (first.t_us[-1] - first.t_us[0])
     length = min(SHOWN_S, 1e-6 * float(first.t_us[-1] - start))
-    for ax, models in zip(axes, ((FRAMES, EVENTS), (FGER, OURS)), strict=True):
+    for ax, models in zip(axes, (('frames', 'events'), ('fger', OURS)), strict=True):
         curves = {MODELS[model]: found[model][0][0] for model in models}
         plot_forces(ax, first, curves, start, (0.0, length), simulated=simulated)
         ax.set(ylabel='normal force [N]')
@@ -191,8 +198,8 @@ def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
 _FGER_PAPER = {'mae': 0.04, 'rmse': 0.05, 'r2': 0.83}
 FUSION_PAPER = {
     OURS: _FGER_PAPER,
-    FGER: _FGER_PAPER,
-    FUSION: {'mae': 0.10, 'rmse': 0.11, 'r2': 0.10},
+    'fger': _FGER_PAPER,
+    'fusion': {'mae': 0.10, 'rmse': 0.11, 'r2': 0.10},
 }
 """Errors [N] and R2; our network is compared with the paper's."""
 FUSION_PLACE = 'section IV-D, Fig. 6'
@@ -201,24 +208,9 @@ FUSION_PLACE = 'section IV-D, Fig. 6'
 @experiment
 def fusion(context: Context) -> Outcome:
     """FGER-Net against feature-level fusion, on static forces."""
-    return force_outcome(
-        context, STATIC, 'fusion', rows=_fusion_rows, draw=_draw_fusion, conditions='static trials'
-    )
-
-
-def _fusion_rows(found: Estimates, *, simulated: bool) -> list[Row]:
-    return [
-        row
-        for model, by_seed in found.items()
-        for row in error_rows(
-            MODELS[model].label,
-            by_seed,
-            FUSION_PAPER[model],
-            FUSION_PLACE,
-            'static trials',
-            simulated=simulated,
-        )
-    ]
+    conditions = 'static trials'
+    rows = partial(rows_of, paper=FUSION_PAPER, place=FUSION_PLACE, conditions=conditions)
+    return force_outcome(context, 'static', 'fusion', rows, _draw_fusion, conditions)
 
 
 def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
@@ -240,7 +232,7 @@ def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
     return save_figure(figure, path)
 
 
-IMPACT_PAPER = {'mae': 0.05, 'rmse': 0.07}
+IMPACT_PAPER = {model: {'mae': 0.05, 'rmse': 0.07} for model in (OURS, 'fger')}
 """Errors [N]."""
 IMPACT_PLACE = 'section IV-E, Fig. 7'
 CLOSE_S = (-0.02, 0.3)
@@ -251,25 +243,20 @@ WHOLE_S = (-0.3, 1.5)
 @experiment
 def impact(context: Context) -> Outcome:
     """20 g from 5 cm: impact, bounces and hold."""
-    return force_outcome(
-        context, IMPACT, 'impact', rows=_impact_rows, draw=_draw_impact, conditions='whole trials'
-    )
 
-
-def _impact_rows(found: Estimates, *, simulated: bool) -> list[Row]:
-    rows: list[Row] = []
-    text = 'largest force, estimate within 10 ms of it; share of it'
-    for model, by_seed in found.items():
-        name = MODELS[model].label
-        rows += error_rows(
-            name, by_seed, IMPACT_PAPER, IMPACT_PLACE, 'whole trials', simulated=simulated
-        )
-        peaks = Value.of(
+    def peak(model: str, by_seed: Sequence[Sequence[TrialEstimate]]) -> Row:
+        errors = Value.of(
             float(np.mean([peak_error(e.known, e.force, e.interval_s) for e in trials]))
-            for trials in by_seed.values()
+            for trials in by_seed
         )
-        rows.append(Row(f'{name}: error of the peak', peaks, None, '', '', text, simulated))
-    return rows
+        text = 'largest force, estimate within 10 ms of it; share of it'
+        return Row(f'{MODELS[model].label}: error of the peak', errors, None, '', '', text)
+
+    conditions = 'whole trials'
+    rows = partial(
+        rows_of, paper=IMPACT_PAPER, place=IMPACT_PLACE, conditions=conditions, more=peak
+    )
+    return force_outcome(context, 'impact', 'impact', rows, _draw_impact, conditions)
 
 
 def _draw_impact(path: Path, found: Estimates, *, simulated: bool) -> Path:

@@ -10,26 +10,336 @@ from __future__ import annotations
 
 import datetime as dt
 import importlib
+import math
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, List, Optional  # noqa: UP035
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mixtac_events.errors import MixtacError
 from mixtac_learning.commands import JsonFile, OptionalPath
-from mixtac_learning.experiments import EXPERIMENTS, report, sizes
-from mixtac_learning.experiments.report import Outcome
-from mixtac_learning.experiments.sizes import Sizes
+from mixtac_learning.experiments import EXPERIMENTS
 from mixtac_learning.experiments.store import Piece, compute
+from mixtac_learning.judge.report import make_table
+from mixtac_learning.train.config import OURS, DataConfig, RunConfig
+from mixtac_node.files import read_data, structure, write_json, write_text
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import simulator_digest
+from mixtac_sim.world.plans import simulator_digest
+
+PRESET = 'paper_like'
+"""Difficulty preset of the simulated sensors."""
+UNTRAINED = frozenset({'constant', 'all_but_stiffness'})
+"""Rows that need no training: the best constant, and `StiffnessBound`."""
+PROTOCOLS = ('paper', 'other_days')
+"""One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
+days of a sensor and tested on others."""
+ROWS = (
+    *('constant', 'frames', 'frames_reference', 'events', 'fusion', 'fusion_reference'),
+    *(
+        'fger',
+        'fger_reference',
+        'fger_reference_flow',
+        OURS,
+        'without_reference',
+        'ours_many_sensors',
+        'all_but_stiffness',
+    ),
+)
+"""Models of the table, in order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """Numbers and lengths of trials, and training settings.
+
+    Attributes:
+        name: Name of this set of sizes.
+        trials: Training trials of each sensor.
+        seconds: Length of a training trial [s].
+        mix: Force profiles of the training trials, in turn.
+        tests: Number and length [s] of the test trials by profile.
+        paper_network: Differences from the paper's network sizes.
+        paper_training: Differences from the paper's training settings.
+        our_training: Training settings of our network.
+        many_training: Differences for the model that is trained on many sensors.
+        sensors: Sensors of that model, one trial each.
+        unseen: Test sensors that no training uses; 0 for none, and no mismatches either.
+        session: Number and length [s] of the trials of the protocol `paper`, by profile.
+        session_training: Differences of the training by that protocol, for networks of the `paper`
+            and for `ours`.
+        tones_hz: Vibration frequencies [Hz].
+        fast_tones_hz: Vibration frequencies above those of the paper [Hz].
+        grasps: Number of slip trials by object.
+        latency_seconds: Length of the real-time run in which latency is measured [s].
+    """
+
+    name: str
+    trials: int
+    seconds: float
+    mix: tuple[str, ...]
+    tests: dict[str, tuple[int, float]]
+    paper_network: dict[str, Any]
+    paper_training: dict[str, Any]
+    our_training: dict[str, Any]
+    many_training: dict[str, Any] = field(default_factory=dict)
+    sensors: int = 0
+    unseen: int = 0
+    session: dict[str, tuple[int, float]] = field(default_factory=dict)
+    session_training: dict[str, dict[str, Any]] = field(default_factory=dict)
+    tones_hz: tuple[float, ...] = ()
+    fast_tones_hz: tuple[float, ...] = ()
+    grasps: dict[str, int] = field(default_factory=dict)
+    latency_seconds: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A variant of a model.
+
+    Attributes:
+        model: The model.
+        network: Differences in its network.
+        training: Differences in its training.
+    """
+
+    model: str
+    network: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
+
+
+_PATH = Path(__file__).with_name('sizes.yaml')
+_TABLES = read_data(_PATH)
+
+
+def _sizes(table: str) -> dict[str, Sizes]:
+    return {
+        name: structure({'name': name, **values}, Sizes, f'{_PATH}: {name}')
+        for name, values in _TABLES[table].items()
+    }
+
+
+def _variants(table: str) -> dict[str, Variant]:
+    return {name: structure(v, Variant, f'{_PATH}: {name}') for name, v in _TABLES[table].items()}
+
+
+PAPER_SIZES = _sizes('paper')
+"""Sizes of the experiments of the paper."""
+FULL, QUICK = PAPER_SIZES['full'], PAPER_SIZES['quick']
+TABLE_SIZES = _sizes('table')
+"""Sizes of the table of all models (`mixtac experiments models --size`)."""
+CHOICES = _variants('choices')
+"""Our network with one design choice undone."""
+VARIANTS = _variants('variants') | CHOICES
+ALL_ROWS = tuple(dict.fromkeys((*ROWS, *VARIANTS)))
+
+
+def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConfig:
+    """Return the training run of a model.
+
+    Args:
+        sizes: Training settings.
+        model: One of `ALL_ROWS`.
+        seed: Seed of initial weights and order.
+        data: Training trials.
+    """
+    base = OURS if model in {'ours_many_sensors'} | UNTRAINED else model
+    variant = VARIANTS.get(model, Variant(base))
+    ours = variant.model == OURS
+    training = sizes.our_training if ours else sizes.paper_training
+    if data.simulated is not None and data.simulated.session:
+        training = training | sizes.session_training.get(OURS if ours else 'paper', {})
+    if model == 'ours_many_sensors':
+        training = training | sizes.many_training
+    return RunConfig(
+        model=variant.model,
+        network=variant.network if ours else sizes.paper_network | variant.network,
+        training=training | variant.training | {'seed': seed},
+        data=data,
+    )
+
+
+HEADINGS = ('what', 'ours', 'paper', 'unit')
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """Mean and spread of measured values.
+
+    Attributes:
+        mean: Mean; NaN without values.
+        spread: Standard deviation; 0 for a single value.
+        count: Number of values.
+        over: What the values differ in: seeds, trials, repetitions.
+    """
+
+    mean: float
+    spread: float
+    count: int
+    over: str
+
+    @classmethod
+    def of(cls, values: Iterable[float], over: str = 'seeds') -> Value:
+        """Return mean and spread of the finite values."""
+        good = [value for value in values if math.isfinite(value)]
+        if not good:
+            return cls(math.nan, 0.0, 0, over)
+        spread = float(np.std(good, ddof=1)) if len(good) > 1 else 0.0
+        return cls(float(np.mean(good)), spread, len(good), over)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return values ready for JSON; the mean of no values is None."""
+        mean = round(self.mean, 5) if math.isfinite(self.mean) else None
+        return asdict(self) | {'mean': mean, 'spread': round(self.spread, 5)}
+
+    def __str__(self) -> str:
+        """Return mean, spread and number of values as text."""
+        if self.count < 2:
+            return number(self.mean)
+        # Rounding leaves a tiny spread of equal values.
+        spread = self.spread if self.spread > 1e-9 * abs(self.mean) else 0.0
+        return f'{number(self.mean)} ± {number(spread)} ({self.count} {self.over})'
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a report.
+
+    Attributes:
+        name: What was measured.
+        ours: Our value.
+        paper: Value of the paper; None if the paper gives none.
+        place: Section, figure or table of the paper; empty without a value of the paper.
+        unit: Unit of both values; empty for ratios.
+        conditions: Conditions of our measurement.
+        simulated: Whether the data are simulated.
+    """
+
+    name: str
+    ours: Value
+    paper: float | None
+    place: str
+    unit: str
+    conditions: str
+    simulated: bool = True
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The row as text, by `HEADINGS`."""
+        paper = '' if self.paper is None else number(self.paper)
+        return self.name, str(self.ours), paper, self.unit
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Result of an experiment.
+
+    Attributes:
+        name: Name of the experiment.
+        title: Display name.
+        paper: What the paper did, in a sentence or two.
+        data: Data set: name, seeds, preset, sizes.
+        rows: Values beside those of the paper.
+        figures: Image files by caption.
+        deviations: Differences from the paper's protocol.
+        skipped: Why the experiment was not run; empty if it was.
+        table: A table as the paper prints it, headings first; empty for none.
+    """
+
+    name: str
+    title: str
+    paper: str
+    data: str
+    rows: list[Row] = field(default_factory=list)
+    figures: dict[str, Path] = field(default_factory=dict)
+    deviations: tuple[str, ...] = ()
+    skipped: str = ''
+    table: tuple[tuple[str, ...], ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return values ready for JSON; figures by their file names."""
+        return asdict(self) | {
+            'rows': [asdict(row) | {'ours': row.ours.as_dict()} for row in self.rows],
+            'figures': {caption: path.name for caption, path in self.figures.items()},
+        }
+
+
+def texts(name: str) -> dict[str, Any]:
+    """Return the fields of `Outcome` that `texts.yaml` gives for an experiment.
+
+    Experiments that draw the forces of models also have a `caption` of their figure.
+    """
+    found: dict[str, Any] = read_data(Path(__file__).with_name('texts.yaml'))[name]
+    return {'name': name, **found, 'deviations': tuple(found['deviations'])}
+
+
+def write_report(
+    folder: Path, outcomes: Sequence[Outcome], run: Mapping[str, Any], json: Path | None = None
+) -> None:
+    """Write `report.md` and `report.json`.
+
+    Args:
+        folder: Folder of the report.
+        outcomes: Results of the experiments.
+        run: Description of the run: command, sizes, seeds, versions.
+        json: Another file for what `report.json` holds; None for none.
+    """
+    experiments = [outcome.as_dict() for outcome in outcomes]
+    rows = [{'experiment': each['name']} | row for each in experiments for row in each['rows']]
+    content = {'run': dict(run), 'rows': rows, 'experiments': experiments}
+    for path in (folder / 'report.json', json):
+        write_json(path, content)
+    write_text(folder / 'report.md', '\n'.join(map(_markdown, outcomes)))
+
+
+def show_report(console: Console, outcomes: Sequence[Outcome]) -> None:
+    """Print the rows of all outcomes as tables."""
+    for outcome in outcomes:
+        if outcome.skipped:
+            console.print(f'{outcome.title} skipped: {outcome.skipped}')
+            continue
+        rows = [
+            (
+                f'{row.name}, simulated' if row.simulated and row.ours.count else row.name,
+                *row.cells[1:],
+            )
+            for row in outcome.rows
+        ]
+        console.print(make_table(f'{outcome.title}: {outcome.data}', HEADINGS, rows))
+
+
+def _markdown(outcome: Outcome) -> str:
+    """Return the rows of an outcome as a Markdown table, for documentation."""
+    parts = [f'### {outcome.title}', '', f'{outcome.data}.', '']
+    if outcome.skipped:
+        return '\n'.join([*parts, f'Skipped: {outcome.skipped}', ''])
+    parts += [f'| {" | ".join(HEADINGS)} |', '|---|---:|---:|---|']
+    parts += [f'| {" | ".join(row.cells)} |' for row in outcome.rows]
+    return '\n'.join([*parts, ''])
+
+
+def number(value: float) -> str:
+    """Return a number with three significant digits, large ones in groups; `-` for NaN."""
+    if not math.isfinite(value):
+        return '-'
+    if abs(value) >= 1e6:
+        return f'{value:.3g}' if abs(value) >= 1e8 else f'{value:,.0f}'
+    if abs(value) >= 1000 or value == round(value):
+        return f'{value:,.0f}'
+    return f'{value:.3g}'
+
+
+def mark(simulated: bool) -> str:
+    """Return the word for the origin of the data in titles."""
+    return 'simulated' if simulated else 'recorded'
+
 
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
@@ -117,17 +427,8 @@ def make_command(name: str, text: str | None) -> Callable[..., None]:
         ] = 0,
         jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 0,
     ) -> None:
-        chosen = select([name, *(more or [])])
-        run_experiments(
-            Console(markup=False),
-            chosen,
-            quick=quick,
-            json=json,
-            out=out,
-            bags=bags,
-            seeds=seeds,
-            jobs=jobs,
-        )
+        console, chosen = Console(markup=False), select([name, *(more or [])])
+        run_experiments(console, chosen, quick, json, out, bags, seeds, jobs)
 
     command.__name__, command.__doc__ = name, text
     return command
@@ -163,7 +464,6 @@ def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
 def run_experiments(
     console: Console,
     chosen: Mapping[str, Callable[[Context], Outcome]],
-    *,
     quick: bool = False,
     json: Path | None = None,
     out: Path | None = None,
@@ -186,7 +486,7 @@ def run_experiments(
     Raises:
         MixtacError: An experiment failed; finished pieces stay stored.
     """
-    size = sizes.QUICK if quick else sizes.FULL
+    size = QUICK if quick else FULL
     folder = out or Path('runs') / f'experiments_{size.name}{"" if bags is None else "_bags"}'
     seeds, jobs = seeds or (1 if quick else 3), jobs or os.cpu_count() or 1
     started, outcomes = time.monotonic(), []
@@ -202,8 +502,8 @@ def run_experiments(
                     raise
                 skipped = Outcome(name, name.capitalize(), '-', bags.name, skipped=str(error))
                 outcomes.append(skipped)
-    report.write(folder, outcomes, _describe(list(chosen), context, started), json)
-    report.show(console, outcomes)
+    write_report(folder, outcomes, _describe(list(chosen), context, started), json)
+    show_report(console, outcomes)
     console.print(f'report: {folder / "report.md"}')
     return outcomes
 

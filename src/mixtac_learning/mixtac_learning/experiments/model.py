@@ -14,9 +14,17 @@ import torch
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
-from mixtac_learning.experiments.harness import Context, experiment
-from mixtac_learning.experiments.report import Outcome, Row, Value, mark, number, texts
-from mixtac_learning.experiments.sizes import DYNAMIC, FGER, PRESET
+from mixtac_learning.experiments.harness import (
+    PRESET,
+    Context,
+    Outcome,
+    Row,
+    Value,
+    experiment,
+    mark,
+    number,
+    texts,
+)
 from mixtac_learning.experiments.training import (
     MODELS,
     Estimates,
@@ -31,8 +39,8 @@ from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, build, one_cycle, operations_per_cycle
 from mixtac_learning.train.config import OURS
-from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_learning.trials.trial import SimulatedSource
+from mixtac_sim.world.plans import TrialSpec
 
 PARAMETERS = 0.517e6
 """Parameters of the paper's network."""
@@ -74,7 +82,7 @@ def paper_rows() -> list[Row]:
     """Return size and speed of the paper's network."""
     config = PaperConfig()
     network = build(config)
-    name, text = MODELS[FGER].label, 'native resolution, 512 events per packet'
+    name, text = MODELS['fger'].label, 'native resolution, 512 events per packet'
     thread = f'{text}; PyTorch on this CPU, one thread'
     operations = _one(operations_per_cycle(config))
     batch = one_cycle(config)
@@ -137,7 +145,7 @@ def step_times_ms(seconds: float) -> tuple[list[float], list[float]]:
     """
     content = read_model(find_model(DEFAULT_MODEL))
     warm_up(open_estimator(content))
-    trial = SimulatedSource(TrialSpec(DEVICE_SEED, TRIAL_SEED, DYNAMIC, seconds, PRESET)).load()
+    trial = SimulatedSource(TrialSpec(DEVICE_SEED, TRIAL_SEED, 'dynamic', seconds, PRESET)).load()
     paced = ForceEstimator(open_estimator(content), background_frames=True)
     alone = ForceEstimator(open_estimator(content))
     window_ms, frame_ms = [], []
@@ -192,9 +200,9 @@ TABLE_PLACE = 'section V-B, table III'
 def comparison(context: Context) -> Outcome:
     """Rate, error and range beside other sensors."""
     sets = trial_sets(context)
-    found = estimates(context, DYNAMIC)
+    found = estimates(context, 'dynamic')
     rows = []
-    for model in (OURS, FGER):
+    for model in (OURS, 'fger'):
         values = _figures(found[model])
         for (title, value, unit), paper in zip(values, MIXTAC, strict=True):
             name = f'Mixtac, frames and events, {MODELS[model].label}: {title}'
@@ -213,7 +221,7 @@ def comparison(context: Context) -> Outcome:
     )
     fields['deviations'] = (*deviations(context.sizes), ours, *fields['deviations'])
     table = sensor_table(found, simulated=sets.simulated)
-    return Outcome(data=sets.describe(DYNAMIC), rows=rows, table=table, **fields)
+    return Outcome(data=sets.describe('dynamic'), rows=rows, table=table, **fields)
 
 
 def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value, str], ...]:
@@ -233,7 +241,7 @@ def sensor_table(found: Estimates, *, simulated: bool) -> tuple[tuple[str, ...],
     ]
     lines += [(name, kind, *map(number, values)) for name, kind, *values in OTHERS]
     lines.append(('Mixtac (paper)', 'frames and events', *map(number, MIXTAC)))
-    for model in (OURS, FGER):
+    for model in (OURS, 'fger'):
         name = f'{MODELS[model].label}, {mark(simulated)}'
         values = [str(value) for _, value, _ in _figures(found[model])]
         lines.append((name, 'frames and events', *values))

@@ -25,34 +25,22 @@ from rich.progress import Progress
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import read_model
 from mixtac_learning.commands import JsonFile
-from mixtac_learning.experiments.harness import Context, OptionalStrings
-from mixtac_learning.experiments.report import Value, mark
-from mixtac_learning.experiments.sizes import (
+from mixtac_learning.experiments.harness import (
     ALL_ROWS,
-    BOUND,
     CHOICES,
-    CONSTANT,
-    DYNAMIC,
-    EVENTS,
-    FGER,
-    FRAMES,
-    FUSION,
-    HOLD,
-    IMPACT,
-    OTHER_DAYS,
-    OURS_MANY,
-    PAPER,
     PRESET,
     PROTOCOLS,
     ROWS,
-    STATIC,
     TABLE_SIZES,
     UNTRAINED,
+    Context,
+    OptionalStrings,
     Sizes,
+    Value,
     run_config,
 )
 from mixtac_learning.experiments.store import Piece
-from mixtac_learning.experiments.training import LEARNING_CODE, MODELS, train
+from mixtac_learning.experiments.training import LEARNING_CODE, train
 from mixtac_learning.judge.estimators import (
     TrialEstimate,
     TrialEstimator,
@@ -65,20 +53,21 @@ from mixtac_learning.judge.estimators import (
 from mixtac_learning.judge.report import (
     by_profile,
     make_table,
-    new_axes,
-    plot_forces,
-    save_figure,
     summarise,
 )
 from mixtac_learning.train.config import OURS, DataConfig, SimulatedData
 from mixtac_learning.train.run import training_sources
-from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
-from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
-from mixtac_learning.trials.trial import TrialArrays, TrialSource
+from mixtac_learning.trials.trial import (
+    MISMATCHES,
+    ChangedSource,
+    SimulatedSource,
+    TrialArrays,
+    TrialSource,
+)
 from mixtac_node.files import write_json, write_text
-from mixtac_sim.world import training_trials as generation
-from mixtac_sim.world.training_trials import TrialSpec, session_plan
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec, session_plan
 
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
@@ -122,23 +111,23 @@ class StiffnessBound:
         return known_force(trial).scaled(1.0 / factor)
 
 
-def table_data(sizes: Sizes, model: str, protocol: str = OTHER_DAYS) -> DataConfig:
+def table_data(sizes: Sizes, model: str, protocol: str = 'other_days') -> DataConfig:
     """Return the training trials of a model; they are the same for every seed.
 
     All models keep the same trials to choose weights by, ours to calibrate its uncertainty as
     well: a seventh of one sensor's trials, a ninth of many sensors'.
     """
-    many = model == OURS_MANY
+    many = model == 'ours_many_sensors'
     count = sizes.sensors if many else sizes.trials
     data = SimulatedData((PRESET,), count if many else 1, count, sizes.seconds, sizes.mix)
-    if protocol == PAPER:
+    if protocol == 'paper':
         data = replace(data, session=sizes.session)
     return DataConfig(simulated=data, checked=1 / 9 if many else 1 / 7)
 
 
 def test_specs(sizes: Sizes, device: int, protocol: str) -> list[TrialSpec]:
     """Return the test trials on the training sensor: of the same session, or other days."""
-    if protocol == PAPER:
+    if protocol == 'paper':
         data = table_data(sizes, OURS, protocol).simulated
         return [] if data is None else session_plan(data.session, data.seed, data.presets[0])[1]
     return [
@@ -151,9 +140,9 @@ def test_specs(sizes: Sizes, device: int, protocol: str) -> list[TrialSpec]:
 def unseen_specs(sizes: Sizes) -> tuple[list[TrialSpec], list[TrialSpec]]:
     """Return dynamic trials of sensors that no training used, and one press of each."""
     devices = range(FIRST_DEVICE, FIRST_DEVICE + sizes.unseen)
-    seconds = sizes.tests[DYNAMIC][1]
+    seconds = sizes.tests['dynamic'][1]
     return (
-        [TrialSpec(d, d + 10_000, DYNAMIC, seconds, PRESET) for d in devices],
+        [TrialSpec(d, d + 10_000, 'dynamic', seconds, PRESET) for d in devices],
         [TrialSpec(d, d + 20_000, 'press', 8.0, PRESET) for d in devices],
     )
 
@@ -167,7 +156,7 @@ def model_figures(
         base: Path of the result; test trials are stored beside its folder for the next model.
         sizes: Numbers and lengths of the trials.
         model: One of `ALL_ROWS`.
-        protocol: One of `PROTOCOLS`; foreign sensors and mismatches belong to `OTHER_DAYS`.
+        protocol: One of `PROTOCOLS`; foreign sensors and mismatches belong to `other_days`.
         weights: Stem of the weight file in the folder of the result; empty without training.
     """
     torch.set_num_threads(1)
@@ -177,11 +166,11 @@ def model_figures(
         return [CachedSource(SimulatedSource(spec), trials) for spec in specs]
 
     sources = training_sources(table_data(sizes, model, protocol))
-    if model == CONSTANT:
+    if model == 'constant':
         kept = [CachedSource(source, trials) for source in sources]
         forces = np.concatenate([source.load().label().force for source in kept])
         estimator: TrialEstimator = constant_estimator(float(np.median(forces)))
-    elif model == BOUND:
+    elif model == 'all_but_stiffness':
         estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
     else:
         trained = read_model(base.with_name(f'{weights}.safetensors'))
@@ -190,14 +179,14 @@ def model_figures(
     (first, *_) = training_sources(table_data(sizes, OURS))
     seen = cached(test_specs(sizes, first.origin['device_seed'], protocol))
     figures = by_profile(judge_sources(estimator, seen).estimates) | {TRAINING: cost}
-    if protocol == PAPER or not sizes.unseen:
+    if protocol == 'paper' or not sizes.unseen:
         return figures
     tests, presses = map(cached, unseen_specs(sizes))
     unseen = judge_sources(estimator, tests).estimates
     figures[UNSEEN] = summarise(unseen)
     scales = sensor_scales(estimator, presses, fallback=1.0)
     figures[UNSEEN_GAIN] = summarise([each.scaled(scales[each.device]) for each in unseen])
-    dynamic = [source for source in seen if source.origin['profile'] == DYNAMIC]
+    dynamic = [source for source in seen if source.origin['profile'] == 'dynamic']
     for name, change in MISMATCHES.items():
         changed = [ChangedSource(source, name, change) for source in dynamic]
         figures[name] = summarise(judge_sources(estimator, changed).estimates)
@@ -239,7 +228,7 @@ def rows_of(table: Mapping[str, Any], protocol: str, size: str) -> list[dict[str
         `hold` and `impact`, each with `mae`, its standard deviation `sd` over the seeds (None of
         one seed) and `seeds`.
     """
-    names = {DYNAMIC: 'dynamic', STATIC: 'static', HOLD: 'hold', IMPACT: 'impact'}
+    names = {'dynamic': 'dynamic', 'static': 'static', 'long_term': 'hold', 'impact': 'impact'}
     rows = []
     for model, columns in table.items():
         row: dict[str, Any] = {'model': model, 'protocol': protocol, 'size': size}
@@ -323,7 +312,7 @@ def models(
         write_text(out / file, '\n'.join([*text, '']))
         rows += rows_of(table, each, size)
     result = {'size': size, 'seeds': seeds, 'simulated': True, 'rows': rows, 'tables': tables}
-    write_json(json, result | {'table': tables.get(OTHER_DAYS, {})})
+    write_json(json, result | {'table': tables.get('other_days', {})})
 
 
 def train_and_test(
@@ -331,8 +320,8 @@ def train_and_test(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the figures of models, one dictionary per seed; of a model without training one."""
     sizes = context.sizes
-    if protocol == PAPER:
-        chosen = [name for name in chosen if name != OURS_MANY]
+    if protocol == 'paper':
+        chosen = [name for name in chosen if name != 'ours_many_sensors']
     configs = {
         (name, seed): run_config(sizes, name, seed, table_data(sizes, name, protocol))
         for seed in range(context.seeds)
@@ -352,47 +341,4 @@ def train_and_test(
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
     for (name, _), figures in zip(weights, context.run('testing', pieces), strict=True):
         found[name].append(figures)
-    shown = {name: weights[name, 0] for name in MODELS if (name, 0) in weights}
-    if shown:
-        arguments = (sizes, protocol, shown)
-        label = f'trials_{sizes.name}_{protocol}'
-        context.run('drawing', [Piece(label, draw_trials, arguments, LEARNING_CODE)])
     return found
-
-
-SHOWN_S = {DYNAMIC: 3.0, HOLD: 1.0}
-"""Length of the part of a trial that is drawn, by its profile [s]."""
-
-
-def draw_trials(
-    base: Path, sizes: Sizes, protocol: str, weights: Mapping[str, str]
-) -> dict[str, Any]:
-    """Draw a part of the first trial of each of `SHOWN_S`; a piece of work.
-
-    Args:
-        base: Path of the result; the picture has the same name.
-        sizes: Numbers and lengths of the trials.
-        protocol: One of `PROTOCOLS`.
-        weights: Stem of the weight file in the folder of the result, by names of `MODELS`.
-    """
-    torch.set_num_threads(1)
-    (first, *_) = training_sources(table_data(sizes, OURS))
-    specs = {s.profile: s for s in test_specs(sizes, first.origin['device_seed'], protocol)[::-1]}
-    figure, axes = new_axes(rows=len(SHOWN_S), columns=2, width=11.0, height=6.0)
-    estimators = {
-        name: trial_estimator(read_model(base.with_name(f'{stem}.safetensors')))
-        for name, stem in weights.items()
-    }
-    for (profile, seconds), *pair in zip(SHOWN_S.items(), axes[::2], axes[1::2], strict=True):
-        trial = CachedSource(SimulatedSource(specs[profile]), base.parent.parent / 'trials').load()
-        known = known_force(trial)
-        start = float(known.t_us[int(0.4 * len(known.t_us))])
-        for ax, names in zip(pair, ((FRAMES, EVENTS), (FUSION, FGER, OURS)), strict=True):
-            curves = {MODELS[each]: estimators[each](trial) for each in names if each in weights}
-            plot_forces(ax, known, curves, start, (0.0, seconds), simulated=True)
-            ax.legend(frameon=False, fontsize=8)
-        pair[0].set_ylabel('normal force [N]')
-        pair[0].set_title(f'{profile.replace("_", " ")}, {mark(simulated=True)}', fontsize=10)
-    axes[-1].set_xlabel('time [s]')
-    axes[-2].set_xlabel('time [s]')
-    return {'file': save_figure(figure, base.with_name(f'{base.name}.png')).name}

@@ -5,20 +5,287 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_learning.experiments.harness import Context, experiment
-from mixtac_learning.experiments.report import Outcome, Row, Value, mark, texts
-from mixtac_learning.experiments.sizes import PRESET
-from mixtac_learning.experiments.slip_trials import COURSE_MS, TrialPlan, trial_piece
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_learning.experiments.harness import (
+    PRESET,
+    Context,
+    Outcome,
+    Row,
+    Value,
+    experiment,
+    mark,
+    texts,
+)
+from mixtac_learning.experiments.slip_loop import (
+    SIDEWAYS,
+    ClosedLoop,
+    Floats,
+    LoopRecord,
+    SensedForce,
+    calibrate,
+)
+from mixtac_learning.experiments.store import Piece
 from mixtac_learning.experiments.training import MODELS
 from mixtac_learning.judge.report import PAPER, new_axes, save_figure
 from mixtac_learning.train.config import OURS
+from mixtac_sim.arm import READY
+from mixtac_sim.grasp.grasp import Grasp
+from mixtac_sim.grasp.objects import ObjectName, draw_setup
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.world.effects import preset
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.parameters import SlipControlParameters
+
+GRID_S = 1e-6 * STEP_US
+"""Step of the simulated grasp [s]."""
+KNOCK_S = 1.45
+"""Onset of the knock [s]: the background is learned and the arm is enabled by then."""
+EARLY_KNOCK_S = 0.05
+"""Onset of the knock without a controller [s]."""
+ENABLE_S = 1.1
+"""Time at which the controller is enabled [s]."""
+AFTER_KNOCK_S = 0.35
+"""Time from the knock to the end of a trial [s]."""
+REST_S = 0.3
+"""Time for the object to come to rest without a controller [s]."""
+HELD_MM = 5.0
+"""An object that slips farther is lost [mm]: the contact of the fingertip is 12 mm wide."""
+STILL_S = 0.02
+"""Time without motion that counts as rest [s]."""
+LOOK_BACK_US = 20_000
+"""Time before a reported slip in which the object may have moved [us]."""
+MOVED_MM = 5e-3
+"""An object that moved farther than this during the look-back slipped by itself [mm]. With little
+margin, some objects do so before the knock."""
+COURSE_MS = np.arange(-10.0, 80.0, 0.5)
+"""Times of the stored displacement from the onset of the knock [180] [ms]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrest:
+    """How an object comes to rest.
+
+    Attributes:
+        slip_mm: Displacement from the knock on [mm].
+        arrest_ms: Time from the knock to rest [ms]; NaN for never.
+    """
+
+    slip_mm: float
+    arrest_ms: float
+
+    @property
+    def held(self) -> bool:
+        """Whether it came to rest, no more than 5 mm lower."""
+        return bool(np.isfinite(self.arrest_ms)) and self.slip_mm <= HELD_MM
+
+
+def arrest_of(
+    t_us: NDArray[np.int64], object_mm: Floats, speed_mm_s: Floats, onset_us: float
+) -> Arrest:
+    """Return how an object comes to rest after a knock.
+
+    Args:
+        t_us: Times [n] [us].
+        object_mm: Position of the object [n] [mm].
+        speed_mm_s: Speed of the object [n] [mm/s].
+        onset_us: Onset of the knock [us].
+    """
+    first = int(np.searchsorted(t_us, onset_us))
+    slip = float(object_mm[-1] - object_mm[max(first - 1, 0)])
+    moving = np.flatnonzero(speed_mm_s != 0.0)
+    last = int(moving[-1]) if len(moving) else first
+    stopped = t_us[-1] - t_us[last] >= 1e6 * STILL_S
+    return Arrest(slip, 1e-3 * float(t_us[last] - onset_us) if stopped else float('nan'))
+
+
+def fastest_way(distance_mm: float, acceleration: float, jerk: float, count: int) -> Floats:
+    """Return the fastest rest-to-rest motion within acceleration and jerk [count] [mm].
+
+    Full acceleration, then full braking, each with jerk-limited ramps: the convolution of a
+    bang-bang motion with a window of the length of a ramp. Sampled every 125 us.
+
+    Args:
+        distance_mm: Distance [mm].
+        acceleration: Largest acceleration [m/s2].
+        jerk: Largest jerk [m/s3].
+        count: Number of samples.
+    """
+    t = (np.arange(count) + 1) * GRID_S
+    half_s = np.sqrt(1e-3 * distance_mm / acceleration)
+    rising = 0.5e3 * acceleration * t**2
+    falling = distance_mm - 0.5e3 * acceleration * np.maximum(2.0 * half_s - t, 0.0) ** 2
+    way = np.where(t < half_s, rising, falling)
+    width = max(round(acceleration / jerk / GRID_S), 1)
+    padded = np.append(np.zeros(width - 1), way)
+    return np.asarray(np.convolve(padded, np.full(width, 1.0 / width), 'valid'))
+
+
+@dataclass(frozen=True, slots=True)
+class TrialPlan:
+    """Settings of a trial.
+
+    Attributes:
+        name: Kind of object.
+        seed: Seed of the object, the day and the sensor.
+        margin: Ratio of the grasp force to the smallest force that holds the object for the length
+            of the trial, with the arm at rest and without a knock.
+        knock_mm_s: Speed of the object after the knock [mm/s]; None to compute it from a random
+            share of the momentum of the falling weight.
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
+            object.
+        preset: Difficulty preset of the virtual sensor.
+        settings: Settings of the slip controller.
+    """
+
+    name: ObjectName = 'box'
+    seed: int = 0
+    margin: float = 1.05
+    knock_mm_s: float | None = None
+    stiffness_n_per_mm: float | None = None
+    preset: str = 'paper_like'
+    settings: SlipControlParameters = field(default_factory=SlipControlParameters)
+
+    def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
+        """Return the grasp of this trial at its start."""
+        setup = draw_setup(
+            self.name,
+            np.random.default_rng([self.seed, 7]),
+            margin=self.margin,
+            knock_mm_s=self.knock_mm_s,
+            knock_s=knock_s,
+            stiffness_n_per_mm=self.stiffness_n_per_mm,
+        )
+        rest_s = KNOCK_S + AFTER_KNOCK_S
+        chosen = preset(self.preset)
+        return Grasp(setup, self.seed, self.seed, chosen, camera=camera, rest_s=rest_s)
+
+    def bound(self, *, moves: bool) -> Arrest:
+        """Return the arrest by the best motion of an arm without lag that begins at the onset.
+
+        Args:
+            moves: Whether the arm moves, to the force limit; without, the arrest without control.
+        """
+        grasp = self.grasp(camera=False, knock_s=EARLY_KNOCK_S)
+        knock, count = round(EARLY_KNOCK_S / GRID_S), round(REST_S / GRID_S)
+        way = np.zeros(knock + count)
+        if moves:
+            planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), share=1.0)
+            planner.reset(READY, np.array(SIDEWAYS), self.settings.max_total)
+            limits = planner.motion_limits
+            distance = (self.settings.max_force - grasp.grasp_n) / grasp.stiffness_n_per_mm
+            way[knock:] = fastest_way(max(distance, 0.0), limits.acceleration, limits.jerk, count)
+        block = grasp.advance(way)
+        return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * EARLY_KNOCK_S)
+
+
+def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
+    """Run a trial, its open loop and its lower bound.
+
+    Args:
+        plan: Settings of the trial.
+
+    Returns:
+        Result for JSON, and course of the trial. Times of the result are from the onset of the
+        knock [ms], None for never.
+
+        `name`, `seed`: Kind of object and seed of the trial.
+        `mass_g`: Mass of the object [g].
+        `knock_mm_s`: Speed of the object after the knock [mm/s].
+        `grasp_n`: Grasp force [N].
+        `knock_share`: Ratio of the normal force at the onset to the grasp force; the controller is
+            enabled and has probed by then.
+        `stiffness_n_per_mm`: Stiffness of the contact [N/mm].
+        `detection_ms`: Time at which the selected detector reported slip.
+        `slip_mm`, `arrest_ms`, `held`: Displacement of the object [mm], time at which it came to
+            rest, whether it was held.
+        `open_slip_mm`, `open_held`: The same without control.
+        `floor_mm`, `floor_ms`: Lower bound of the displacement [mm], and time of rest then.
+        `peak_n`: Largest normal force [N].
+        `advance_mm`: Advance at the end [mm].
+        `false_alarms`: Slips reported before the knock while the object did not move.
+        `limit_violations`: Samples of the commanded motion that violate a limit.
+        `rejected`: Trajectories rejected by the controller of the arm.
+        `stopped`: Reason of an interlock stop; empty without one.
+
+    Raises:
+        SlipControlError: The controller could not be enabled.
+    """
+    grasp = plan.grasp(camera=True)
+    force = SensedForce(grasp, calibrate(plan.seed, plan.seed, plan.preset))
+    record = ClosedLoop(grasp, plan.settings, force).run(KNOCK_S + AFTER_KNOCK_S, ENABLE_S)
+    onset_us = 1e6 * KNOCK_S
+    arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
+    floor, free = plan.bound(moves=True), plan.bound(moves=False)
+    slipping = np.array([step.slipping for step in record.steps])
+    after = record.answered_us[slipping & (record.answered_us > onset_us)]
+    at_onset = record.normal_n[np.searchsorted(record.t_us, onset_us)]
+    result = {
+        'name': plan.name,
+        'seed': plan.seed,
+        'mass_g': grasp.setup.mass_g,
+        'knock_mm_s': grasp.setup.knock_mm_s,
+        'grasp_n': grasp.grasp_n,
+        'knock_share': float(at_onset) / grasp.grasp_n,
+        'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
+        'detection_ms': 1e-3 * float(after[0] - onset_us) if len(after) else None,
+        'slip_mm': arrest.slip_mm,
+        'arrest_ms': _or_none(arrest.arrest_ms),
+        'held': arrest.held,
+        'open_slip_mm': free.slip_mm,
+        'open_held': free.held,
+        'floor_mm': floor.slip_mm,
+        'floor_ms': _or_none(floor.arrest_ms),
+        'peak_n': float(record.normal_n.max()),
+        'advance_mm': float(record.advance_mm[-1]),
+        'false_alarms': _alarms_before(record, onset_us),
+        'limit_violations': record.violations,
+        'rejected': record.rejected,
+        'stopped': record.stopped,
+    }
+    return result, record
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _alarms_before(record: LoopRecord, onset_us: float) -> int:
+    """Return the number of slips reported before the knock while the object did not move."""
+    early = record.answered_us < onset_us
+    slipping = np.array([s.slipping for s in record.steps])[early]
+    alarms = 0
+    for k in np.flatnonzero(np.diff(slipping.astype(np.int8), prepend=0) > 0):
+        end_us = record.steps[k].end_us
+        then, now = np.searchsorted(record.t_us, [end_us - LOOK_BACK_US, end_us])
+        alarms += bool(record.object_mm[now] - record.object_mm[then] <= MOVED_MM)
+    return alarms
+
+
+def trial_piece(plan: TrialPlan) -> Piece:
+    """Return a trial as a piece of work; its result has `course_mm`, too."""
+    packages = ('events', 'fger', 'recordings', 'sim', 'slip_control')
+    code = *(f'mixtac_{name}' for name in packages), 'mixtac_learning.experiments.slip_loop'
+    files = (find_model(DEFAULT_MODEL),)
+    return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), code, files)
+
+
+def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
+    """Return the result and the course of the displacement at `COURSE_MS` [mm]."""
+    result, record = run_trial(plan)
+    t_ms = 1e-3 * (record.t_us - 1e6 * KNOCK_S)
+    start = np.interp(0.0, t_ms, record.object_mm)
+    course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
+    return result | {'course_mm': course.round(4).tolist()}
+
 
 PAPER_MM = {'cup': 0.90, 'box': 0.71, 'ball': 10.03}
 """Mean displacement in the paper [mm]."""

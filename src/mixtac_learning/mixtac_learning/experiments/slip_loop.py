@@ -34,7 +34,7 @@ from mixtac_fger.force_calibration import (
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.judge.estimators import TrialEstimate, stream
-from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_recordings.messages import left_aligned
 from mixtac_sim.arm import (
     READY,
@@ -47,7 +47,7 @@ from mixtac_sim.arm import (
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
-from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_sim.world.plans import TrialSpec
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner

@@ -19,20 +19,15 @@ import numpy as np
 import torch
 
 from mixtac_fger.weights import read_model, save_model
-from mixtac_learning.experiments.harness import Context
-from mixtac_learning.experiments.report import Outcome, Row, Value, texts
-from mixtac_learning.experiments.sizes import (
-    DYNAMIC,
-    EVENTS,
-    FGER,
-    FRAMES,
-    FUSION,
-    HOLD,
-    IMPACT,
+from mixtac_learning.experiments.harness import (
     PRESET,
-    STATIC,
+    Context,
+    Outcome,
+    Row,
     Sizes,
+    Value,
     run_config,
+    texts,
 )
 from mixtac_learning.experiments.store import Piece, find_result
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
@@ -40,12 +35,11 @@ from mixtac_learning.judge.metrics import Metrics, measure
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
-from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource, Recipe, prepare
-from mixtac_learning.trials.trial import TrialSource
+from mixtac_learning.trials.trial import SimulatedSource, TrialSource
 from mixtac_recordings.bag import fit_path
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import TrialSpec, training_plan
+from mixtac_sim.world.plans import TrialSpec, training_plan
 
 
 class Model(NamedTuple):
@@ -58,24 +52,24 @@ class Model(NamedTuple):
 
 MODELS = {
     OURS: Model('FGER-Net, small (ours)', 'FGER-Net,\nsmall (ours)', '#0072b2'),
-    FGER: Model("FGER-Net, the paper's layers", "FGER-Net,\npaper's layers", '#009e73'),
-    FRAMES: Model('frames only', 'frames only', '#e69f00'),
-    EVENTS: Model('events only', 'events only', '#d55e00'),
-    FUSION: Model('feature-level fusion', 'feature-level\nfusion', '#cc79a7'),
+    'fger': Model("FGER-Net, the paper's layers", "FGER-Net,\npaper's layers", '#009e73'),
+    'frames': Model('frames only', 'frames only', '#e69f00'),
+    'events': Model('events only', 'events only', '#d55e00'),
+    'fusion': Model('feature-level fusion', 'feature-level\nfusion', '#cc79a7'),
 }
 """Colours that stay distinct without colour vision (Okabe and Ito 2008)."""
 JUDGED = {
-    DYNAMIC: (OURS, FGER, FRAMES, EVENTS),
-    STATIC: (OURS, FGER, FUSION),
-    HOLD: (OURS, FGER),
-    IMPACT: (OURS, FGER),
+    'dynamic': (OURS, 'fger', 'frames', 'events'),
+    'static': (OURS, 'fger', 'fusion'),
+    'long_term': (OURS, 'fger'),
+    'impact': (OURS, 'fger'),
 }
 """Models that are evaluated on each profile."""
 Estimates = dict[str, dict[int, list[TrialEstimate]]]
 """Estimates by model and seed."""
 PROFILES = tuple(JUDGED)
 FIRST_DATA_SEED = 40
-"""Data seeds of `mixtac_sim.world.training_trials`; other ones than those of shipped models."""
+"""Data seeds of `mixtac_sim.world.plans`; other ones than those of shipped models."""
 FIRST_TEST = 830_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 SHARE_TESTED = 5
@@ -336,7 +330,6 @@ def force_outcome(
     context: Context,
     profile: str,
     name: str,
-    *,
     rows: Callable[..., list[Row]],
     draw: Callable[..., Path],
     conditions: str,

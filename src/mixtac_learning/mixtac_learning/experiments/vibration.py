@@ -25,9 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_learning.experiments.harness import Context, experiment
-from mixtac_learning.experiments.report import Outcome, Row, Value, mark, texts
-from mixtac_learning.experiments.sizes import PRESET
+from mixtac_learning.experiments.harness import (
+    PRESET,
+    Context,
+    Outcome,
+    Row,
+    Value,
+    experiment,
+    mark,
+    texts,
+)
 from mixtac_learning.experiments.store import Piece
 from mixtac_learning.judge.report import new_axes, save_figure
 from mixtac_sim import SimulationError
@@ -43,8 +50,6 @@ SIZES_MM = {PRESSED: (0.05, 0.1, 0.2), TAPPING: (0.8, 1.0)}
 """Pressed: amplitudes, zero to peak; tapping: indentation depths [mm]."""
 HOVER = 0.5
 """Tapping: height of the centre of the motion above the skin, in amplitudes; the rest is depth."""
-REST_S = (0.35, 0.55)
-"""Time in which the contact is still [s]."""
 SETTLED_S = 0.56
 SHAKEN_S = (0.65, 1.65)
 """Time in which the vibration is examined [s]: it has faded in, and the gel has settled."""

@@ -29,8 +29,7 @@ from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
 from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
-from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample
-from mixtac_learning.paper.segments import run_samples
+from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample, run_samples
 from mixtac_learning.trials.trial import (
     DatasetError,
     TrialArrays,
@@ -58,7 +57,7 @@ class TrialEstimate:
         frames_only: The model's force of the latest frame, None where it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         corrected: Windows in which a frame was first used, None where that is not known, bool [T].
-        reasons: Values of `mixtac_fger.reasons.Reason`, None where that is not known, uint8 [T].
+        reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
         across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an
             estimator that never knows it.
         known_across: True force x and y [N] and torque z [Nm], None where unknown [T, 3].

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's networks on a live stream, on a GPU where there is one, otherwise on the CPU.
 
-A window is computed as in `mixtac_learning.paper.segments.run_samples`, one at a time. Two things
+A window is computed as in `mixtac_learning.paper.samples.run_samples`, one at a time. Two things
 differ from it: the events between two frames, which the deep fusion reads, are counted in whole
 windows, and a frame that arrives late belongs to a later window.
 """
@@ -24,7 +24,7 @@ from mixtac_learning.paper.networks import (
     EventsOnly,
     FeatureFusion,
     FgerPaper,
-    FramesOnly,
+    FrameModel,
     PaperState,
     operations_per_cycle,
     paper_network_of,
@@ -99,15 +99,11 @@ class PaperEstimator:
             self._rest.append(rounded)
         seen = frame_input(rounded[None], np.stack(self._rest), config)
         frame = torch.from_numpy(seen).to(self._device)
-        content, force = None, 0.0
-        if isinstance(network, FgerPaper):
-            content = network.frame(frame)
-            force = float(network.force_of(content)[0])
-        elif isinstance(network, FramesOnly):
-            content = network.force_of(network.features(frame, frame))
-            force = float(content[0])
-        elif isinstance(network, FeatureFusion):
-            content = network.frame(frame)
+        if isinstance(network, EventsOnly):
+            return EncodedFrame(mid_us, 0.0, 0, None)
+        content = network.frame(frame)
+        fused = isinstance(network, FeatureFusion)
+        force = 0.0 if fused else float(network.force_of(content)[0])
         return EncodedFrame(mid_us, force, 0, content)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:  # noqa: ARG002
@@ -142,7 +138,7 @@ class PaperEstimator:
                 self._counts = np.minimum(self._counts + counts, 255)
             force = state.force
             if frame is not None:
-                force = self._frame_force(frame.content)
+                force = self._frame_force(network, frame.content)
                 state = state._replace(force=force)
         self._state = state
         return float(force[0]), None
@@ -160,13 +156,12 @@ class PaperEstimator:
         packet = torch.zeros(len(points), dtype=torch.int64, device=self._device)
         return network.recurrence.encoder(inputs, packet, 1)  # type: ignore[no-any-return]
 
-    def _frame_force(self, content: Tensor) -> Tensor:
-        if not isinstance(self._network, FeatureFusion):
-            return content
-        counts, self._counts = self._counts, self._no_counts()
-        events = torch.from_numpy(np.log1p(counts.astype(np.float32)))[None].to(self._device)
-        features = torch.cat([content, self._network.events(events)], 1)
-        return self._network.force_of(features)
+    def _frame_force(self, network: FrameModel, content: Tensor) -> Tensor:
+        if isinstance(network, FeatureFusion):
+            counts, self._counts = self._counts, self._no_counts()
+            events = torch.from_numpy(np.log1p(counts.astype(np.float32)))[None].to(self._device)
+            content = torch.cat([content, network.events(events)], 1)
+        return torch.Tensor(network.force_of(content))
 
     def _no_counts(self) -> NDArray[np.int64]:
         return np.zeros((2, *self._config.frame_shape), np.int64)

@@ -83,16 +83,15 @@ def stack(
     index = padded('slots', -1)
     shifted = torch.where(index >= 0, index + torch.from_numpy(starts), -1)
     lengths = torch.tensor([len(sample.force) for sample in samples])
+    joined = ('frame_inputs', 'frame_moments', 'frame_force', 'frame_across')
     return Sequences(
-        event_features=padded('event_features'),
-        force=padded('force'),
-        across=padded('across'),
+        **{name: padded(name) for name in ('event_features', 'force', 'across')},
+        **{
+            name: torch.from_numpy(np.concatenate([getattr(sample, name) for sample in samples]))
+            for name in joined
+        },
         valid=torch.arange(length)[:, None] < lengths[None],
         slots=FrameSlots(shifted, padded('lags')),
-        frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
-        frame_moments=torch.from_numpy(np.concatenate([s.frame_moments for s in samples])),
-        frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
-        frame_across=torch.from_numpy(np.concatenate([s.frame_across for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
         device=torch.tensor(list(range(len(samples)) if devices is None else devices)),
     )

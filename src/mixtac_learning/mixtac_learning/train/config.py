@@ -16,7 +16,7 @@ from mixtac_learning.paper.config import MODELS as PAPER_MODELS
 from mixtac_node.files import FileError, read_dataclass
 from mixtac_node.share import share
 from mixtac_node.topics import REFERENCE
-from mixtac_sim.world.training_trials import TRAINING_PRESET
+from mixtac_sim.world.plans import TRAINING_PRESET
 
 
 def check_settings(settings: Any, counts: Mapping[str, int]) -> None:  # noqa: ANN401
@@ -111,10 +111,10 @@ class SimulatedData:
         sensors: Different sensors.
         trials: Trials, going round the sensors.
         seconds: Length of each.
-        profiles: Force profiles, in turn; empty for those of `mixtac_sim.world.training_trials`.
+        profiles: Force profiles, in turn; empty for those of `mixtac_sim.world.plans`.
         seed: Another seed gives other sensors and days.
         session: Trials of one session of one sensor instead of those above: number and length [s]
-            by profile, of which `mixtac_sim.world.training_trials.session_plan` keeps a fifth for
+            by profile, of which `mixtac_sim.world.plans.session_plan` keeps a fifth for
             testing.
     """
 

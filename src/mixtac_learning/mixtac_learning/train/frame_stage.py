@@ -9,7 +9,7 @@ losses of forces are those of the later stages too.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
@@ -25,8 +25,7 @@ from mixtac_learning.train.batches import (
     mirror_moments,
 )
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.loop import Stage
-from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.loop import Processes, Stage
 
 Flip = tuple[bool, bool]
 
@@ -158,27 +157,32 @@ def mean_error(
 
 
 @dataclass(eq=False)
-class FrameStage(Stage):
-    """Trains the frame network and the gains of the sensors on single frames.
+class FgerStage(Stage):
+    """What the stages of FGER-Net share.
 
     Attributes:
+        name: `frames`, `recurrent`, `joint` or `deviation`.
+        epochs: Epochs.
+        rate: Largest learning rate.
         model: Network and gains.
         groups: Trials to train on.
-        settings: Epochs, batch, rate.
-        processes: Processes that share the training.
+        settings: Settings of the run.
         checked: Validation trials; None for none.
+        processes: Processes that share the training.
     """
 
+    name: str
+    epochs: int
+    rate: float
     model: NetworkWithGains
     groups: DiskGroups
     settings: TrainingSettings
-    processes: Processes
     checked: DiskGroups | None = None
+    processes: Processes = field(default_factory=Processes)
 
-    def __post_init__(self) -> None:
-        """Take epochs and rate from the settings."""
-        self.name = 'frames'
-        self.epochs, self.rate = self.settings.frame_epochs, self.settings.frame_rate
+
+class FrameStage(FgerStage):
+    """Trains the frame network and the gains of the sensors on single frames."""
 
     def begin(self) -> None:
         """Begin with the moments alone: the convolutions learn what these leave over."""

@@ -35,8 +35,8 @@ from mixtac_learning.paper.networks import (
     Scale,
     build,
 )
-from mixtac_learning.paper.samples import PaperSample
-from mixtac_learning.paper.segments import (
+from mixtac_learning.paper.samples import (
+    PaperSample,
     Segment,
     arrivals,
     assemble,
@@ -44,8 +44,7 @@ from mixtac_learning.paper.segments import (
     run_samples,
 )
 from mixtac_learning.train.config import check_settings
-from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
-from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.loop import Processes, Stage, TrainingError, TrainingLoop
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,26 +19,29 @@ from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.weights import Model, ModelCard, save_model
 from mixtac_learning.judge.estimators import trial_estimator
-from mixtac_learning.judge.evaluation import judge_devices
-from mixtac_learning.judge.report import new_axes, save_figure, show_figures, show_skipped
+from mixtac_learning.judge.report import (
+    judge_devices,
+    new_axes,
+    save_figure,
+    show_figures,
+    show_skipped,
+)
 from mixtac_learning.network import model_of, usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
-from mixtac_learning.train.loop import Report, TrainingError
+from mixtac_learning.train.loop import Processes, Report, TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
-from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
-from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import prepare
-from mixtac_learning.trials.trial import TrialSource, sensor_of
+from mixtac_learning.trials.trial import SimulatedSource, TrialSource, sensor_of
 from mixtac_node.files import write_json
-from mixtac_sim.world import training_trials as generation
-from mixtac_sim.world.training_trials import (
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import (
     TRAINING_PROFILES,
     session_plan,
     training_plan,

@@ -39,6 +39,7 @@ from mixtac_learning.train.batches import (
 )
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import (
+    FgerStage,
     Flip,
     FrameStage,
     NetworkWithGains,
@@ -50,8 +51,7 @@ from mixtac_learning.train.frame_stage import (
     mean_error,
     shuffled,
 )
-from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
-from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.loop import Processes, TrainingError, TrainingLoop
 
 
 @torch.no_grad()
@@ -155,33 +155,19 @@ def _starts(force: Tensor, valid: Tensor) -> Tensor:
 
 
 @dataclass(eq=False)
-class SequenceStage(Stage):
+class SequenceStage(FgerStage):
     """Truncated back-propagation through all sequences of a group side by side.
 
-    Attributes:
-        model: Network and gains; the gains stay as they are.
-        groups: Trials to train on.
-        settings: Epochs, stretches, rates.
-        joint: Whether the frame network learns as well.
-        checked: Validation trials; None for none.
-        processes: Processes that share the training.
+    The gains stay as they are; the frame network learns in the stage `joint` only.
     """
 
-    model: NetworkWithGains
-    groups: DiskGroups
-    settings: TrainingSettings
-    joint: bool = False
-    checked: DiskGroups | None = None
-    processes: Processes = field(default_factory=Processes)
     _features: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
     _impacts: list[Sequences | None] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        """Take epochs and rate from the settings."""
-        settings = self.settings
-        self.name = 'joint' if self.joint else 'recurrent'
-        self.epochs = settings.joint_epochs if self.joint else settings.recurrent_epochs
-        self.rate = settings.joint_rate if self.joint else settings.recurrent_rate
+    @property
+    def joint(self) -> bool:
+        """Whether the frame network learns as well."""
+        return self.name == 'joint'
 
     def begin(self) -> None:
         """Initialise the recurrent path so that it follows the frames."""
@@ -344,26 +330,10 @@ def joined(parts: Sequence[Errors]) -> Errors:
 
 
 @dataclass(eq=False)
-class DeviationStage(Stage):
-    """Trains the uncertainty head; nothing else changes.
+class DeviationStage(FgerStage):
+    """Trains the uncertainty head; nothing else changes."""
 
-    Attributes:
-        model: Network and gains.
-        groups: Trials to train on.
-        settings: Epochs and rate.
-        processes: Processes that share the training.
-    """
-
-    model: NetworkWithGains
-    groups: DiskGroups
-    settings: TrainingSettings
-    processes: Processes = field(default_factory=Processes)
     _errors: list[Errors] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        """Take epochs and rate from the settings."""
-        self.name = 'deviation'
-        self.epochs, self.rate = self.settings.deviation_epochs, self.settings.deviation_rate
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights of the head."""
@@ -531,13 +501,17 @@ def train_fger(
         processes=processes,
         **options,
     )
-    stages: list[Stage] = [
-        FrameStage(model, groups, settings, processes, checked),
-        SequenceStage(model, groups, settings, checked=checked, processes=processes),
-        SequenceStage(model, groups, settings, joint=True, checked=checked, processes=processes),
+    plan: list[tuple[type[FgerStage], str, int, float]] = [
+        (FrameStage, 'frames', settings.frame_epochs, settings.frame_rate),
+        (SequenceStage, 'recurrent', settings.recurrent_epochs, settings.recurrent_rate),
+        (SequenceStage, 'joint', settings.joint_epochs, settings.joint_rate),
+        (DeviationStage, 'deviation', settings.deviation_epochs, settings.deviation_rate),
     ]
-    if config.deviation_size:
-        stages.append(DeviationStage(model, groups, settings, processes))
+    stages = [
+        kind(name, epochs, rate, model, groups, settings, checked, processes)
+        for kind, name, epochs, rate in plan
+        if name != 'deviation' or config.deviation_size
+    ]
     loop.run(stages)
     network = model.network.eval()
     if config.deviation_size:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,25 +27,26 @@ from mixtac_node.topics import REFERENCE
 
 
 def label_on_camera_clock(
-    t_us: NDArray[np.float64], force: Sequence[float], what: str
-) -> ForceLabel:
-    """Return a force curve in the order of time.
+    t_us: NDArray[np.float64], values: NDArray[np.float64], what: str
+) -> tuple[ForceLabel, AcrossLabel]:
+    """Return the normal force and the force across it in the order of time.
 
     Args:
-        t_us: Camera clock [us].
-        force: Normal force [N].
-        what: Name of the curve, for messages.
+        t_us: Camera clock [us], [n].
+        values: Force x, y, z [N] and torque z [Nm], [n, 4].
+        what: Name of the topic, for messages.
 
     Raises:
         DatasetError: There are too few samples, or one is not finite.
     """
-    values = np.array(force, np.float64)
     if len(values) < 2:
         raise DatasetError(f'{what} holds {len(values)} samples: record the force sensor as well')
-    if not np.isfinite(values).all():
+    if not np.isfinite(values[:, 2]).all():
         raise DatasetError(f'{what} holds values that are not finite: check the force sensor')
     order = np.argsort(t_us, kind='stable')
-    return ForceLabel(np.asarray(t_us, np.float64)[order], values[order])
+    times, sorted_values = t_us[order], values[order]
+    across = AcrossLabel(times, sorted_values[:, [0, 1, 3]])
+    return ForceLabel(times, sorted_values[:, 2].copy()), across
 
 
 def host_to_camera_us(
@@ -105,8 +105,8 @@ def read_forces(
     from mixtac_recordings.bag import BagFile, fit_path
     from mixtac_recordings.recording import DamagedRecordingError
 
-    forces: dict[bool, list[tuple[int, float]]] = {False: [], True: []}
-    across: list[tuple[float, float, float]] = []
+    rows: dict[bool, list[tuple[float, ...]]] = {False: [], True: []}
+    stamps: dict[bool, list[int]] = {False: [], True: []}
     pairs: list[tuple[int, int]] = []
     fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
@@ -119,11 +119,10 @@ def read_forces(
         ]
         for topic, _, message in bag.messages(*chosen):
             if topic == reference or topic.endswith(_TRUE_FORCE):
-                row = (stamp_to_ns(message.header.stamp), float(message.wrench.force.z))
-                forces[topic != reference].append(row)
-                if topic != reference:
-                    wrench = message.wrench
-                    across.append((wrench.force.x, wrench.force.y, wrench.torque.z))
+                true, wrench = topic != reference, message.wrench
+                force = wrench.force
+                stamps[true].append(stamp_to_ns(message.header.stamp))
+                rows[true].append((force.x, force.y, force.z, wrench.torque.z))
             elif topic.endswith(_CAMERA_CLOCK):
                 pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
             else:
@@ -133,24 +132,22 @@ def read_forces(
             raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='run `mixtac repair`')
     made = read_fit(path) if fit_path(path).exists() else fits.get(False)
     fit = made or fits.get(True)
-    truth = measured = sideways = None
-    if forces[True]:
-        stamps, values = zip(*forces[True], strict=True)
-        t_us = host_to_camera_us(np.array(stamps, np.int64), pairs)
-        truth = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
-        order = np.argsort(t_us, kind='stable')
-        sideways = AcrossLabel(t_us[order], np.array(across, np.float64)[order])
-    if forces[False] and fit is not None:
-        stamps, values = zip(*forces[False], strict=True)
-        t_us = fit.stamp_to_camera_us(np.array(stamps, np.int64))
-        measured = label_on_camera_clock(t_us, values, f'{path} topic {reference}')
+    truth = measured = across = None
+    if stamps[True]:
+        t_us = host_to_camera_us(np.array(stamps[True], np.int64), pairs)
+        values = np.array(rows[True], np.float64)
+        truth, across = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
+    if stamps[False] and fit is not None:
+        t_us = fit.stamp_to_camera_us(np.array(stamps[False], np.int64))
+        values = np.array(rows[False], np.float64)
+        measured, _ = label_on_camera_clock(t_us, values, f'{path} topic {reference}')
     if truth is None and measured is None:
-        if forces[False]:
+        if stamps[False]:
             raise DatasetError(
                 f'{path} has no clock fit to place {reference}', remedy=f'run `mixtac align {path}`'
             )
         raise DatasetError(f'{path} has no force', remedy=f'record {reference} beside the camera')
-    return truth, measured, sideways
+    return truth, measured, across
 
 
 _BLOCK = 1 << 20

@@ -6,19 +6,24 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays, TrialSource
+from mixtac_learning.trials.trial import (
+    DatasetError,
+    DerivedSource,
+    ForceLabel,
+    TrialArrays,
+    TrialSource,
+)
 from mixtac_node.files import FileError, new_folder
 
 _FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
@@ -27,31 +32,15 @@ _LABELS = ('truth', 'reference')
 _FACTS = 'trial.json'
 
 
-@dataclass(frozen=True, slots=True)
-class CachedSource:
+@dataclass(frozen=True)
+class CachedSource(DerivedSource):
     """A source whose trial is kept on disk once it was loaded.
 
     Attributes:
-        source: Where the trial comes from.
         folder: Parent of the trial's own folder.
     """
 
-    source: TrialSource
     folder: Path
-
-    @property
-    def name(self) -> str:
-        """Name of the trial."""
-        return self.source.name
-
-    @property
-    def origin(self) -> dict[str, Any]:
-        """What is known of it."""
-        return self.source.origin
-
-    def content_key(self) -> str:
-        """Return the key of the source."""
-        return self.source.content_key()
 
     def load(self) -> TrialArrays:
         """Return the trial, mapped from disk.
@@ -192,24 +181,15 @@ def prepare(
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths, skipped, kept = [], {}, []
-    arguments = ([*sources], [recipe] * len(sources), [folder] * len(sources))
-    results: Iterable[tuple[Path | None, str]] = map(_prepare_one, *arguments)
-    pool = None
-    if jobs > 1:
-        context = multiprocessing.get_context('spawn')
-        pool = ProcessPoolExecutor(jobs, mp_context=context)
-        results = pool.map(_prepare_one, *arguments)
-    try:
-        for index, (path, reason) in enumerate(results):
-            if path is None:
-                skipped[sources[index].name] = reason
-            else:
-                paths.append(path)
-                kept.append(index)
-            on_progress(index + 1)
-    finally:
-        if pool is not None:
-            pool.shutdown(cancel_futures=True)
+    calls = [joblib.delayed(_prepare_one)(source, recipe, folder) for source in sources]
+    results = joblib.Parallel(jobs, return_as='generator', batch_size=1)(calls)
+    for index, (path, reason) in enumerate(results):
+        if path is None:
+            skipped[sources[index].name] = reason
+        else:
+            paths.append(path)
+            kept.append(index)
+        on_progress(index + 1)
     if not paths:
         first = next(iter(skipped.values()), 'there are none')
         raise DatasetError(f'none of {len(sources)} trials can be used: {first}')

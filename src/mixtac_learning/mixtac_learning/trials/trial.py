@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import TrialSpec
+from mixtac_sim.world.sensor import truth_wrench
 
 
 class DatasetError(MixtacError):
@@ -58,29 +61,6 @@ class AcrossLabel:
     def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float64]:
         """Return the values at times on the camera clock, [n, 3]."""
         return np.stack([np.interp(t_us, self.t_us, column) for column in self.values.T], axis=1)
-
-
-def true_force(truth: NDArray[np.void]) -> ForceLabel:
-    """Return the label of a simulated trial's truth (fields `t_us` and `fz`)."""
-    return ForceLabel(truth['t_us'].astype(np.float64), truth['fz'].astype(np.float64))
-
-
-def aligned_force(
-    reference_t_us: NDArray[np.floating] | NDArray[np.integer],
-    force: NDArray[np.floating],
-    scale: float,
-    offset_us: float,
-) -> ForceLabel:
-    """Return the label of a reference sensor's samples after alignment.
-
-    Args:
-        reference_t_us: Reference clock [us].
-        force: Normal force [N] of each sample.
-        scale: a of the fit t_reference = a t_camera + b.
-        offset_us: b of the fit [us].
-    """
-    t_us = np.asarray((reference_t_us - offset_us) / scale, np.float64)
-    return ForceLabel(t_us, force.astype(np.float64))
 
 
 LABELS = ('best', 'true', 'reference')
@@ -214,10 +194,10 @@ def frame_arrivals(
         first: Frames before this one do not count.
     """
     slots = np.full(len(ends), -1, np.int64)
-    for frame in range(first, len(arrival_us)):
-        window = int(np.searchsorted(ends, arrival_us[frame]))
-        if window < len(ends):
-            slots[window] = frame
+    windows = np.searchsorted(ends, arrival_us[first:])
+    inside = windows < len(ends)
+    # Of several frames in a window the last one stays.
+    slots[windows[inside]] = np.flatnonzero(inside) + first
     return slots
 
 
@@ -231,3 +211,156 @@ def camera_end_us(trial: TrialArrays) -> int:
     """Return until when the camera is known to have run [us, camera clock]."""
     latest = int(trial.events.t[-1]) if len(trial.events) else 0
     return max(latest, int(trial.arrival_us[-1]) if len(trial.arrival_us) else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSource:
+    """A trial that the simulator makes when it is asked for.
+
+    Attributes:
+        spec: The trial.
+    """
+
+    spec: TrialSpec
+
+    @property
+    def name(self) -> str:
+        """A file name of its seeds, profile and preset."""
+        return self.spec.name
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """The fields of the specification."""
+        return asdict(self.spec) | {'name': self.name, 'simulated': True}
+
+    def content_key(self) -> str:
+        """Return the trial's name with the digest of the simulator."""
+        return f'{generation.simulator_digest()} {self.name}'
+
+    def load(self) -> TrialArrays:
+        """Simulate the trial.
+
+        Raises:
+            SimulationError: Unknown profile or preset, or too short a duration.
+        """
+        trial = generation.simulate(self.spec)
+        scale, offset_us = trial.clock
+        reference_us = (trial.reference_t_us.astype(np.float64) - offset_us) / scale
+        truth_us = trial.truth['t_us'].astype(np.float64)
+        return TrialArrays(
+            events=trial.events,
+            frames=trial.frames,
+            exposure_start_us=trial.exposure_start_us,
+            exposure_end_us=trial.exposure_end_us,
+            arrival_us=trial.arrival_us,
+            truth=ForceLabel(truth_us, trial.truth['fz'].astype(np.float64)),
+            reference=ForceLabel(reference_us, trial.reference_wrench[:, 2].astype(np.float64)),
+            across=AcrossLabel(truth_us, truth_wrench(trial.truth)[:, [0, 1, 5]]),
+            origin=self.origin,
+        )
+
+
+@dataclass(frozen=True)
+class DerivedSource:
+    """A source made of another one.
+
+    Attributes:
+        source: Where the trial comes from.
+    """
+
+    source: TrialSource
+
+    @property
+    def name(self) -> str:
+        """Name of the trial."""
+        return self.source.name
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What is known of the trial."""
+        return self.source.origin
+
+    def content_key(self) -> str:
+        """Return the key of the source."""
+        return self.source.content_key()
+
+
+@dataclass(frozen=True)
+class ChangedSource(DerivedSource):
+    """A changed trial.
+
+    Attributes:
+        label: Name of the change.
+        change: Makes the change.
+    """
+
+    label: str
+    change: Callable[[TrialArrays], TrialArrays]
+
+    @property
+    def name(self) -> str:
+        """Name of the trial and of the change."""
+        return f'{self.source.name}-{self.label}'
+
+    def content_key(self) -> str:
+        """Return the key of the source with the change."""
+        return f'{self.source.content_key()} {self.label}'
+
+    def load(self) -> TrialArrays:
+        """Return the changed trial."""
+        return self.change(self.source.load())
+
+
+BLUR_PX = 1.5
+"""Standard deviation of the blur of frames; events stay sharp [px]."""
+SHADE = 0.4
+"""Part of the light that the corners of the frames lose."""
+LATE_US = 3_000
+"""Error of the exposure's times [us]."""
+DEAD = 0.01
+"""Part of the pixels that give neither events nor light."""
+
+
+def blurred(trial: TrialArrays) -> TrialArrays:
+    """Return a trial with frames out of focus by `BLUR_PX`."""
+    from scipy.ndimage import gaussian_filter
+
+    frames = np.stack([gaussian_filter(frame, BLUR_PX) for frame in trial.frames])
+    return replace(trial, frames=frames)
+
+
+def shaded(trial: TrialArrays) -> TrialArrays:
+    """Return a trial with frames that darken by `SHADE` towards one corner."""
+    rows, columns = trial.frames.shape[1:]
+    along_y = np.linspace(0.0, 0.5, rows)[:, None]
+    along_x = np.linspace(0.0, 0.5, columns)[None]
+    factor = 1.0 - SHADE * (along_y + along_x)
+    frames = np.stack([np.round(frame * factor).astype(np.uint16) for frame in trial.frames])
+    return replace(trial, frames=frames)
+
+
+def shifted_exposure(trial: TrialArrays) -> TrialArrays:
+    """Return a trial whose exposure times are `LATE_US` too late."""
+    return replace(
+        trial,
+        exposure_start_us=trial.exposure_start_us + LATE_US,
+        exposure_end_us=trial.exposure_end_us + LATE_US,
+    )
+
+
+def dead_pixels(trial: TrialArrays) -> TrialArrays:
+    """Return a trial with `DEAD` of the pixels dead, the same ones in events and frames."""
+    rows, columns = trial.frames.shape[1:]
+    dead = np.random.default_rng(0).random((rows, columns)) < DEAD
+    frames = np.where(dead, np.uint16(0), trial.frames)
+    events: Events = trial.events[~dead[trial.events.y, trial.events.x]]
+    return replace(trial, frames=frames, events=events)
+
+
+MISMATCHES: dict[str, Callable[[TrialArrays], TrialArrays]] = {
+    'blur': blurred,
+    'shading': shaded,
+    'exposure_3ms': shifted_exposure,
+    'dead_pixels': dead_pixels,
+}
+"""Changes by name."""

@@ -11,9 +11,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from mixtac_learning.experiments import sizes, store, vibration
-from mixtac_learning.experiments.harness import run_experiments, select
-from mixtac_learning.experiments.sizes import QUICK
+from mixtac_learning.experiments import harness, store, vibration
+from mixtac_learning.experiments.harness import QUICK, run_experiments, select
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
 from mixtac_recordings.recording import RecordingError
 
@@ -46,7 +45,7 @@ def carried_out(folder, *names, **options):
 @pytest.fixture(scope='module')
 def finished(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sizes, 'QUICK', TINY)
+        patch.setattr(harness, 'QUICK', TINY)
         patch.setitem(SIZES_MM, PRESSED, (0.1,))
         patch.setitem(SIZES_MM, TAPPING, (1.0,))
         patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))

@@ -6,6 +6,11 @@ from __future__ import annotations
 
 import pytest
 
+from mixtac_learning.experiments.harness import (
+    ALL_ROWS,
+    TABLE_SIZES,
+    run_config,
+)
 from mixtac_learning.experiments.models import (
     aggregate,
     lines_of,
@@ -13,13 +18,6 @@ from mixtac_learning.experiments.models import (
     table_data,
     test_specs,
     unseen_specs,
-)
-from mixtac_learning.experiments.sizes import (
-    ALL_ROWS,
-    OTHER_DAYS,
-    PAPER,
-    TABLE_SIZES,
-    run_config,
 )
 from mixtac_learning.train.run import training_sources
 
@@ -54,18 +52,18 @@ def test_a_row_has_the_error_of_each_kind_of_trial():
 @pytest.mark.parametrize('size', TABLE_SIZES)
 def test_the_papers_protocol_stays_in_one_session(size):
     sizes = TABLE_SIZES[size]
-    trained = [source.spec for source in training_sources(table_data(sizes, 'fger', PAPER))]
-    tested = test_specs(sizes, trained[0].device_seed, PAPER)
+    trained = [source.spec for source in training_sources(table_data(sizes, 'fger', 'paper'))]
+    tested = test_specs(sizes, trained[0].device_seed, 'paper')
     assert len({(spec.device_seed, spec.session) for spec in [*trained, *tested]}) == 1
     assert not {spec.trial_seed for spec in trained} & {spec.trial_seed for spec in tested}
     assert {spec.profile for spec in tested} == {'dynamic', 'static', 'long_term', 'impact'}
-    assert table_data(sizes, 'ours', PAPER) == table_data(sizes, 'fger', PAPER)
+    assert table_data(sizes, 'ours', 'paper') == table_data(sizes, 'fger', 'paper')
 
 
 @pytest.mark.parametrize('model', ALL_ROWS)
 def test_no_test_trial_is_trained_on(model):
     trained = [source.spec for source in training_sources(table_data(TABLE_SIZES['full'], model))]
-    seen = test_specs(TABLE_SIZES['full'], trained[0].device_seed, OTHER_DAYS)
+    seen = test_specs(TABLE_SIZES['full'], trained[0].device_seed, 'other_days')
     unseen, presses = unseen_specs(TABLE_SIZES['full'])
     assert {s.device_seed for s in seen} <= {s.device_seed for s in trained}
     assert not {s.trial_seed for s in trained} & {s.trial_seed for s in [*seen, *unseen, *presses]}
@@ -84,7 +82,7 @@ def test_all_seeds_see_the_same_trials():
 def test_a_session_has_its_own_training():
     sizes = TABLE_SIZES['full']
     for model, kind in (('fger', 'paper'), ('without_reference', 'ours')):
-        trained = run_config(sizes, model, 0, table_data(sizes, model, PAPER)).training
+        trained = run_config(sizes, model, 0, table_data(sizes, model, 'paper')).training
         other = config('full', model, 0).training
         assert trained == other | sizes.session_training[kind]
         assert trained != other

@@ -14,8 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_learning.experiments.forces import rolling_bins
-from mixtac_learning.experiments.harness import ExperimentError, select
-from mixtac_learning.experiments.report import Outcome, Row, Value, number, write
+from mixtac_learning.experiments.harness import (
+    ExperimentError,
+    Outcome,
+    Row,
+    Value,
+    number,
+    select,
+    write_report,
+)
 from mixtac_learning.experiments.training import error_rows, rate_hz
 from mixtac_learning.judge.estimators import TrialEstimate
 
@@ -45,7 +52,7 @@ def test_report_holds_all_rows_and_what_was_skipped(tmp_path):
         Outcome('slip', 'Slip', 'p', 'none', skipped='not from bags'),
     ]
     path = tmp_path / 'sub' / 'rows.json'
-    write(tmp_path, outcomes, {'seeds': 3}, path)
+    write_report(tmp_path, outcomes, {'seeds': 3}, path)
     text = (tmp_path / 'report.md').read_text(encoding='utf-8')
     assert '0.05 ± 0.01 (3 seeds)' in text
     assert 'not from bags' in text

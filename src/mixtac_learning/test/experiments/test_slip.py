@@ -9,15 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_learning.experiments.slip_loop import (
-    PULLS_S,
-    ClosedLoop,
-    Gains,
-    SensedForce,
-    calibrate,
-    fit_sideways,
-)
-from mixtac_learning.experiments.slip_trials import (
+from mixtac_learning.experiments.slip import (
     AFTER_KNOCK_S,
     GRID_S,
     KNOCK_S,
@@ -25,6 +17,14 @@ from mixtac_learning.experiments.slip_trials import (
     arrest_of,
     fastest_way,
     run_trial,
+)
+from mixtac_learning.experiments.slip_loop import (
+    PULLS_S,
+    ClosedLoop,
+    Gains,
+    SensedForce,
+    calibrate,
+    fit_sideways,
 )
 from mixtac_sim.world.profiles import make_profile
 from mixtac_slip_control.errors import SlipControlError

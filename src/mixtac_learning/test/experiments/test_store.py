@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mixtac_learning.experiments.slip_trials import TrialPlan, trial_piece
+from mixtac_learning.experiments.slip import TrialPlan, trial_piece
 from mixtac_learning.experiments.store import Piece, code_version, compute
 from mixtac_slip_control.parameters import SlipControlParameters
 

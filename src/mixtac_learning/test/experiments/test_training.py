@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from mixtac_learning.experiments.sizes import FULL
+from mixtac_learning.experiments.harness import FULL
 from mixtac_learning.experiments.training import (
     PROFILES,
     BagTrials,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mixtac_fger.weights import ModelCard, write_model
-from mixtac_learning.judge import evaluation
+from mixtac_learning.judge import report as evaluation
 from mixtac_learning.judge.report import SERIES
 from mixtac_learning.trials.trial import DatasetError, TrialArrays
 

@@ -18,7 +18,7 @@ from mixtac_fger.weights import read_model, write_model
 from mixtac_learning.paper.config import MODELS
 from mixtac_learning.train.config import DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import train_model
-from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import SimulatedSource
 
 
 @pytest.fixture(scope='module', params=MODELS)

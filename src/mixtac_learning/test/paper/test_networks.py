@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from mixtac_fger.config import ConfigError
 from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.config import CORRECTIONS, MODELS, NORMS, PaperConfig
 from mixtac_learning.paper.networks import (
@@ -18,6 +19,7 @@ from mixtac_learning.paper.networks import (
     SparseBackbone,
     SparseBlock,
     build,
+    operations_per_cycle,
 )
 from mixtac_learning.paper.samples import frame_input
 
@@ -117,11 +119,15 @@ def test_another_lamp_and_exposure_change_nothing(light):
     network = build(replace(SMALL, model='frames', light=light)).train()
     frames = 0.1 + 0.4 * torch.rand(2, 1, 24, 32)
     with torch.no_grad():
-        dim, bright = (network.frame_force(part * frames, frames) for part in (0.5, 2.0))
-        alone = network.frame_force(frames[:1], frames)
+        dim, bright = (
+            network.force_of(network.features(part * frames, frames)) for part in (0.5, 2.0)
+        )
+        alone = network.force_of(network.features(frames[:1], frames))
     assert torch.allclose(dim, bright, atol=1e-5)
     # Nor does what else is in the batch.
-    assert torch.allclose(2 * alone, 2 * network.frame_force(frames, frames)[:1], atol=1e-5)
+    assert torch.allclose(
+        2 * alone, 2 * network.force_of(network.features(frames, frames))[:1], atol=1e-5
+    )
 
 
 def test_the_displacement_of_the_picture_is_seen_beside_the_reference():
@@ -143,7 +149,7 @@ def test_the_displacement_of_the_picture_is_seen_beside_the_reference():
     network = build(replace(config, model='frames')).eval()
     frames = torch.from_numpy(seen)
     with torch.no_grad():
-        assert torch.isfinite(network.frame_force(frames, frames)).all()
+        assert torch.isfinite(network.force_of(network.features(frames, frames))).all()
 
 
 def test_a_correction_is_given_out_within_one_cycle():
@@ -193,7 +199,7 @@ def test_frame_models_hold_their_force(batch, model):
     torch.manual_seed(0)
     network = build(replace(SMALL, model=model)).eval()
     with torch.no_grad():
-        own = network.frame_force(batch.frames, batch.event_frames)
+        own = network.force_of(network.features(batch.frames, batch.event_frames))
         force, state = network(batch, network.initial_state(SEQUENCES))
     assert force[:, 0].tolist() == [0, 0, *[own[0].item()] * 4, *[own[1].item()] * 3]
     assert force[:, 1].tolist() == [*[own[3].item()] * 5, *[own[2].item()] * 4]
@@ -287,3 +293,23 @@ def test_networks_run_in_mixed_precision(batch, model):
     loss.backward()
     plain, _ = network(batch, network.initial_state(SEQUENCES))
     assert torch.allclose(force.float(), plain, atol=0.1)
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_fewer_pixels_and_events_take_fewer_operations(model):
+    small, large = (
+        PaperConfig(model=model, scale=scale, events_per_packet=events)
+        for scale, events in ((4, 64), (3, 128))
+    )
+    assert 0 < operations_per_cycle(small) < operations_per_cycle(large)
+
+
+def test_impossible_configurations_are_refused():
+    with pytest.raises(ConfigError):
+        PaperConfig(model='snn')
+    with pytest.raises(ConfigError):
+        PaperConfig(event_widths=(64, 0))
+    with pytest.raises(ConfigError):
+        PaperConfig.from_dict({'depth': 3})
+    config = PaperConfig(model='fusion', scale=2)
+    assert PaperConfig.from_dict(config.to_dict()) == config

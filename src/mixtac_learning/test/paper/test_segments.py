@@ -11,8 +11,7 @@ import pytest
 
 from mixtac_learning.paper.config import MODELS, PaperConfig
 from mixtac_learning.paper.networks import build
-from mixtac_learning.paper.samples import PaperSample, make_paper_sample
-from mixtac_learning.paper.segments import run_samples
+from mixtac_learning.paper.samples import PaperSample, make_paper_sample, run_samples
 from mixtac_learning.train.paper_stage import fit_scales
 
 SMALL = {'scale': 16, 'events_per_packet': 16, 'channels': 8, 'blocks': 1, 'lstm_size': 8}

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import torch
 
-from mixtac_learning.train.loop import Stage, TrainingLoop
-from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.loop import Processes, Stage, TrainingLoop
 
 EPOCHS = 12
 

@@ -14,13 +14,13 @@ import pytest
 import torch
 
 from mixtac_learning.train.loop import (
+    Processes,
     Stage,
     TrainingError,
     TrainingLoop,
     load_checkpoint,
     schedule_factor,
 )
-from mixtac_learning.train.parallel import Processes
 
 SCRIPT = Path(__file__).with_name('line_fit.py')
 

@@ -12,8 +12,8 @@ import torch
 
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, Scale, build
-from mixtac_learning.paper.samples import PaperSample, make_paper_sample
-from mixtac_learning.paper.segments import Segment, assemble
+from mixtac_learning.paper.samples import PaperSample, Segment, assemble, make_paper_sample
+from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.paper_stage import (
     EventStage,
     FrameStage,
@@ -22,7 +22,6 @@ from mixtac_learning.train.paper_stage import (
     RecurrentStage,
     fit_scales,
 )
-from mixtac_learning.train.parallel import Processes
 
 SMALL = {'scale': 16, 'events_per_packet': 16, 'channels': 8, 'blocks': 1, 'lstm_size': 8}
 

@@ -17,7 +17,7 @@ from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import Sequences
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import encode
-from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.stages import estimate, impacts, train_fger
 
 SHORT = TrainingSettings(

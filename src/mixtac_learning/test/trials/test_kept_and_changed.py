@@ -12,9 +12,16 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.samples import event_counts, packet_points
-from mixtac_learning.trials.changes import DEAD, LATE_US, MISMATCHES, ChangedSource
 from mixtac_learning.trials.store import CachedSource
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+from mixtac_learning.trials.trial import (
+    DEAD,
+    LATE_US,
+    MISMATCHES,
+    ChangedSource,
+    DatasetError,
+    ForceLabel,
+    TrialArrays,
+)
 from mixtac_node.files import FileError
 
 

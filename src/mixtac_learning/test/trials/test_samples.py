@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,15 @@ from mixtac_events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, aligned_force, true_force
-from mixtac_sim.world.training_trials import evaluation_plan, training_plan, unseen_devices
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
+from mixtac_sim.world import plans as generation
+from mixtac_sim.world.plans import (
+    TrialSpec,
+    evaluation_plan,
+    training_plan,
+    unseen_devices,
+)
+from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):
@@ -68,16 +76,26 @@ def test_labels_are_read_at_window_ends_and_averaged_over_exposures():
     assert mean == pytest.approx([0.5, 1.0, 0.75])
 
 
-def test_a_reference_sensor_is_brought_to_the_camera_clock():
-    camera = np.linspace(0, 1e6, 50)
-    label = aligned_force(1.0001 * camera + 777.0, camera * 1e-6, 1.0001, 777.0)
-    assert label.t_us == pytest.approx(camera, abs=1e-3)
-    assert label.at(np.array([250_000])) == pytest.approx(0.25)
-
-
-def test_simulated_truth_becomes_a_label():
-    truth = np.array([(0, 0.0), (1000, 2.0)], dtype=[('t_us', 'i8'), ('fz', 'f8')])
-    assert true_force(truth).at(np.array([500])) == pytest.approx([1.0])
+def test_a_simulated_trial_has_both_forces_on_the_camera_clock(monkeypatch, trial):
+    camera_us = np.linspace(0, 1e6, 50)
+    truth = np.zeros(2, TRUTH_DTYPE)
+    truth['t_us'], truth['fz'] = [0, 1000], [0.0, 2.0]
+    wrench = np.zeros((50, 6))
+    wrench[:, 2] = camera_us * 1e-6
+    simulated = SimpleNamespace(
+        **{name: getattr(trial, name) for name in ('events', 'frames', 'arrival_us')},
+        exposure_start_us=trial.exposure_start_us,
+        exposure_end_us=trial.exposure_end_us,
+        truth=truth,
+        reference_t_us=1.0001 * camera_us + 777.0,
+        reference_wrench=wrench,
+        clock=(1.0001, 777.0),
+    )
+    monkeypatch.setattr(generation, 'simulate', lambda _spec: simulated)
+    found = SimulatedSource(TrialSpec(1, 2, 'press', 4.0)).load()
+    assert found.truth.at(np.array([500])) == pytest.approx([1.0])
+    assert found.reference.t_us == pytest.approx(camera_us, abs=1e-3)
+    assert found.reference.at(np.array([250_000])) == pytest.approx(0.25)
 
 
 def test_samples_survive_the_disk(tmp_path, config, trial):

@@ -20,11 +20,10 @@ from mixtac_events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
-from mixtac_sim.grids import STEP_US
+from mixtac_sim.grids import STEP_US, stream
 from mixtac_sim.mechanics.contact import GRAVITY, ContactPath
 from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE, Preset
 

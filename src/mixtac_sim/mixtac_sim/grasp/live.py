@@ -128,12 +128,8 @@ class PacedClock(SimulationClock):
         with self._lock:
             super().lose(lost_us)
 
-    def epoch_now_ns(self) -> int:
-        """Return simulated time now [ns], counted from the host's time at the start."""
-        return self.start_epoch_ns + 1000 * self.now_us()
-
     def to_epoch_ns(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Convert simulated times [us, int64] to the scale of ``epoch_now_ns`` [ns, int64]."""
+        """Convert simulated times [us, int64] to ns since the start in host time [int64]."""
         return np.asarray(self.start_epoch_ns + t_us * 1000, np.int64)
 
 

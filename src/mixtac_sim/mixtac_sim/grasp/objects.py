@@ -23,9 +23,9 @@ from typing import Literal
 import numpy as np
 
 from mixtac_sim import SimulationError
+from mixtac_sim.grids import log_uniform
 from mixtac_sim.mechanics.contact import GRAVITY
-from mixtac_sim.mechanics.indenters import Indenter
-from mixtac_sim.random_streams import log_uniform
+from mixtac_sim.mechanics.elastomer import Indenter
 
 REFERENCE_MM_S = 1.0
 """w0, the slip speed at which mu0 holds [mm/s]."""

@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts of the live sensor on request: press, pull, load, drop, vibrate, follow, release.
+"""Gestures of the live sensor: press, pull, slide, torsion, load, drop, vibrate, release, follow.
 
-Each request becomes a short profile that is played at once. `LiveProfile` replaces the fixed
-profile of a trial; nothing touches the sensor until it plays.
+Each gesture is a short profile that is played at once. `TouchControl` carries out the requests of
+the service `mixtac_msgs/srv/Touch`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from threading import Lock
-from typing import Final, NamedTuple
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
 
-import numpy as np
-
-from mixtac_events.arrays import Floats
+from mixtac_node.parameters import build, parameter
 from mixtac_sim import SimulationError
-from mixtac_sim.grids import STEP_US
+from mixtac_sim.live.virtual_sensor import VirtualSensor
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
-from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G, Indenter
-from mixtac_sim.world.segments import Commands, Profile, Pulled, Segment, Tone, still
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, LIVE_INDENTERS, Indenter
+from mixtac_sim.world.segments import Profile, Pulled, Segment, Tone
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""
@@ -31,12 +31,29 @@ APART_MM: Final = 0.3
 """Distance from the skin at which a vibration starts and ends [mm]."""
 MOVE_S: Final = 1.0
 """Time of a motion across the normal [s]."""
+LARGEST_N: Final = 20.0
+"""Largest force that may be commanded [N]; the layer's model ends about there."""
+ENDLESS_S: Final = 86_400.0
+"""Duration of a contact that is held until the next touch [s]."""
+
+
+def _force(
+    tool: Indenter,
+    start_s: float,
+    end_s: float,
+    force_n: tuple[float, ...],
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    pull: Pulled | None = None,
+) -> Segment:
+    """Return a span of a constant force, or from one force to another [N]."""
+    knots = (0.0, end_s - start_s)[: len(force_n)]
+    return Segment(start_s, end_s, Mode.FORCE, knots, force_n, indenter=tool, move=move, pull=pull)
 
 
 def press(
     tool: Indenter, force_n: float, hold_s: float, move: tuple[float, float, float] = (0, 0, 0)
 ) -> Profile:
-    """Return a press with a force that is held, moved across the normal first if it is to be.
+    """Return a press with a constant force, after a motion across the normal if there is one.
 
     Args:
         tool: The object.
@@ -44,29 +61,22 @@ def press(
         hold_s: Duration of the hold, at rest [s].
         move: Motion: right and down [mm], turn from right to down [rad]; undone in the air.
     """
-    down = RAMP_S
     rest = RAMP_S + MOVE_S * any(move)
     up, end = rest + hold_s, rest + hold_s + RAMP_S
     segments = [
-        Segment(0.0, down, Mode.FORCE, (0.0, RAMP_S), (0.0, force_n), indenter=tool),
-        Segment(rest, up, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
-        Segment(up, end, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
+        _force(tool, 0.0, RAMP_S, (0.0, force_n)),
+        _force(tool, rest, up, (force_n,)),
+        _force(tool, up, end, (force_n, 0.0)),
     ]
     if any(move):
         back = (-move[0], -move[1], -move[2])
-        moved = Segment(down, rest, Mode.FORCE, (0.0,), (force_n,), indenter=tool, move=move)
-        segments.insert(1, moved)
+        segments.insert(1, _force(tool, RAMP_S, rest, (force_n,), move))
         segments.append(Segment(end, end + RAMP_S, Mode.FREE, indenter=tool, move=back))
         end += RAMP_S
     return Profile('press', end, tuple(segments))
 
 
-def pull(
-    tool: Indenter,
-    force_n: tuple[float, float],
-    pull_n: Pulled,
-    hold_s: float,
-) -> Profile:
+def pull(tool: Indenter, force_n: tuple[float, float], pull_n: Pulled, hold_s: float) -> Profile:
     """Return a press that a force pulls aside, as a weight on a thread would; then it is let go.
 
     Args:
@@ -77,17 +87,16 @@ def pull(
     """
     _, after = force_n
     first, last = pull_n
-    down, rest = RAMP_S, RAMP_S + MOVE_S * (first != last)
-    up, end = rest + hold_s, rest + hold_s + RAMP_S
+    rest = RAMP_S + MOVE_S * (first != last)
+    up = rest + hold_s
     segments = [
-        Segment(0.0, down, Mode.FORCE, (0.0, RAMP_S), force_n, indenter=tool, pull=(first, first)),
-        Segment(rest, up, Mode.FORCE, (0.0,), (after,), indenter=tool, pull=(last, last)),
-        Segment(up, end, Mode.FORCE, (0.0, RAMP_S), (after, 0.0), indenter=tool),
+        _force(tool, 0.0, RAMP_S, force_n, pull=(first, first)),
+        _force(tool, rest, up, (after,), pull=(last, last)),
+        _force(tool, up, up + RAMP_S, (after, 0.0)),
     ]
-    if rest > down:
-        way = Segment(down, rest, Mode.FORCE, (0.0,), (after,), indenter=tool, pull=pull_n)
-        segments.insert(1, way)
-    return Profile('pull', end, tuple(segments))
+    if rest > RAMP_S:
+        segments.insert(1, _force(tool, RAMP_S, rest, (after,), pull=pull_n))
+    return Profile('pull', up + RAMP_S, tuple(segments))
 
 
 def load(tool: Indenter, hold_s: float) -> Profile:
@@ -96,9 +105,7 @@ def load(tool: Indenter, hold_s: float) -> Profile:
     Raises:
         SimulationError: The object has no mass.
     """
-    if tool.mass_g <= 0.0:
-        raise SimulationError(f'{tool} has no weight to put down: choose an object with a mass')
-    return replace(press(tool, 1e-3 * tool.mass_g * GRAVITY, hold_s), name='load')
+    return replace(press(tool, 1e-3 * _mass_g(tool) * GRAVITY, hold_s), name='load')
 
 
 def drop(tool: Indenter, height_mm: float, hold_s: float) -> Profile:
@@ -107,14 +114,21 @@ def drop(tool: Indenter, height_mm: float, hold_s: float) -> Profile:
     Raises:
         SimulationError: The object has no mass.
     """
-    # What fell before must have left the skin.
-    begin, lift = RAMP_S, RAMP_S + hold_s
-    pull = 1.3e-3 * tool.mass_g * GRAVITY
+    # An object that fell before must have left the skin.
+    lift = RAMP_S + hold_s
+    lift_n = 1.3e-3 * _mass_g(tool) * GRAVITY
     segments = (
-        Segment(begin, lift, Mode.DROP, (0.0,), (height_mm,), indenter=tool),
-        Segment(lift, lift + RAMP_S, Mode.LIFT, (0.0, RAMP_S), (0.0, pull), indenter=tool),
+        Segment(RAMP_S, lift, Mode.DROP, (0.0,), (height_mm,), indenter=tool),
+        Segment(lift, lift + RAMP_S, Mode.LIFT, (0.0, RAMP_S), (0.0, lift_n), indenter=tool),
     )
     return Profile('drop', lift + RAMP_S, segments)
+
+
+def _mass_g(tool: Indenter) -> float:
+    if tool.mass_g <= 0.0:
+        heavy = ', '.join(name for name, each in LIVE_INDENTERS.items() if each.mass_g > 0.0)
+        raise SimulationError(f'{tool} has no mass', remedy=f'choose one of {heavy}')
+    return tool.mass_g
 
 
 def vibrate(
@@ -134,8 +148,8 @@ def vibrate(
     """
     if amplitude_mm >= depth_mm:
         raise SimulationError(
-            f'amplitude {amplitude_mm} mm at a depth of {depth_mm} mm would leave the skin: '
-            'take less, or go deeper'
+            f'amplitude {amplitude_mm} mm at a depth of {depth_mm} mm would leave the skin',
+            remedy='give a smaller amplitude or a larger depth',
         )
     tone = Tone(amplitude_mm, frequency_hz, 0.0, min(0.05, 0.25 * hold_s))
     down, up = RAMP_S, RAMP_S + hold_s
@@ -151,161 +165,127 @@ def follow(tool: Indenter, from_n: float, force_n: float) -> Profile:
     """Return a force [N] that is reached quickly from another and fades without a new command."""
     first, last = FOLLOW_RAMP_S, FOLLOW_RAMP_S + FOLLOW_TIMEOUT_S
     segments = (
-        Segment(0.0, first, Mode.FORCE, (0.0, FOLLOW_RAMP_S), (from_n, force_n), indenter=tool),
-        Segment(first, last, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
-        Segment(last, last + RAMP_S, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
+        _force(tool, 0.0, first, (from_n, force_n)),
+        _force(tool, first, last, (force_n,)),
+        _force(tool, last, last + RAMP_S, (force_n, 0.0)),
     )
     return Profile('follow', last + RAMP_S, segments)
 
 
 def release(tool: Indenter, from_n: float) -> Profile:
     """Return the release from a force [N]."""
-    way = Segment(0.0, RAMP_S, Mode.FORCE, (0.0, RAMP_S), (from_n, 0.0), indenter=tool)
+    way = _force(tool, 0.0, RAMP_S, (from_n, 0.0))
     return Profile('release', RAMP_S, (way,) if from_n > 0.0 else ())
 
 
-class Play(NamedTuple):
-    """A scenario and the grid step at which it begins."""
-
-    start: int
-    scenario: Profile
-
-
-class LiveProfile:
-    """Hands the commands of scenarios to the simulation, each from the moment it is played.
-
-    It has the interface of `mixtac_sim.world.segments.Profile`, with commands that are not known
-    in advance. A scenario lasts until the next one begins. `play` may be called from any thread.
-
-    Args:
-        indenters: Indenters that scenarios may use.
+@dataclass(frozen=True)
+class Touch:
+    """A request to touch the sensor: the fields of `mixtac_msgs/srv/Touch`, with their limits.
 
     Attributes:
-        indenters: Indenters that scenarios may use.
+        gesture: Name of the gesture
+        object: Object that touches
+        force: Normal force
+        hold: Duration at rest; 0 holds until the next touch
+        pull: Force across the normal
+        pull_direction: Direction of the pull in the image: 0 to the right, 90 upwards
+        distance: Slide to the right
+        angle: Turn about the normal
+        height: Height of a drop
+        depth: Mean depth of a vibration
+        amplitude: Amplitude of a vibration, zero to peak
+        frequency: Frequency of a vibration
     """
 
-    def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
-        self.indenters = indenters
-        self._lock = Lock()
-        # The one under way and those to come.
-        self._plays: list[Play] = []
-        self._asked = 0
-        self._changed = self._moves = False
+    gesture: str = parameter(
+        'release',
+        choices=('press', 'pull', 'slide', 'torsion', 'load', 'drop', 'vibrate', 'release'),
+    )
+    object: str = parameter('hemisphere', choices=tuple(LIVE_INDENTERS))
+    force: float = parameter(0.5, unit='N', within=(0.0, LARGEST_N))
+    hold: float = parameter(2.0, unit='s', within=(0.0, 3600.0))
+    pull: float = parameter(0.2, unit='N', within=(0.0, LARGEST_N))
+    pull_direction: float = parameter(0.0, unit='deg', within=(-180.0, 180.0))
+    distance: float = parameter(2.0, unit='mm', within=(-5.0, 5.0))
+    angle: float = parameter(20.0, unit='deg', within=(-90.0, 90.0))
+    height: float = parameter(50.0, unit='mm', within=(0.0, 200.0))
+    depth: float = parameter(0.3, unit='mm', within=(0.01, 1.5))
+    amplitude: float = parameter(0.05, unit='mm', within=(0.0, 1.0))
+    frequency: float = parameter(100.0, unit='Hz', within=(1.0, 500.0))
 
-    def play(self, scenario: Profile, start_us: int) -> None:
-        """Play a scenario from a time [us, simulated time] on.
+    @property
+    def tool(self) -> Indenter:
+        """Return the object."""
+        return LIVE_INDENTERS[self.object]
 
-        It replaces what is playing then, and what was to begin later.
+    @property
+    def hold_s(self) -> float:
+        """Return the duration at rest [s]."""
+        return self.hold or ENDLESS_S
 
-        Raises:
-            SimulationError: It uses an indenter that the sensor was not prepared for.
-        """
-        unknown = set(scenario.indenters) - set(self.indenters)
-        if unknown:
-            raise SimulationError(
-                f'scenario {scenario.name!r} uses {unknown.pop()}; the live sensor knows only '
-                f'{self.indenters}'
-            )
-        start = -(-start_us // STEP_US)
-        with self._lock:
-            self._plays = [play for play in self._plays if play.start < start]
-            self._plays.append(Play(start, scenario))
-            self._changed = True
-            self._forget()
 
-    def changes(self, until_us: int) -> list[Play] | None:
-        """Return what is played, None if that has not changed since the last call.
+_PROFILES: Final[Mapping[str, Callable[[Touch], Profile]]] = MappingProxyType(
+    {
+        'press': lambda t: press(t.tool, t.force, t.hold_s),
+        'slide': lambda t: press(t.tool, t.force, t.hold_s, (t.distance, 0.0, 0.0)),
+        'torsion': lambda t: press(t.tool, t.force, t.hold_s, (0.0, 0.0, math.radians(t.angle))),
+        'load': lambda t: load(t.tool, t.hold_s),
+        'drop': lambda t: drop(t.tool, t.height, t.hold_s),
+        'vibrate': lambda t: vibrate(t.tool, t.depth, t.amplitude, t.frequency, t.hold_s),
+    }
+)
+"""Gestures that do not depend on the touch before them."""
+
+
+class TouchControl:
+    """Carries out touches, and forces that are commanded one after the other.
+
+    Args:
+        sensor: The live sensor.
+    """
+
+    def __init__(self, sensor: VirtualSensor) -> None:
+        self._sensor = sensor
+        self._tool = HEMISPHERE
+
+    def touch(self, **request: object) -> str:
+        """Touch the sensor; return a description for the user.
 
         Args:
-            until_us: Simulated time [us] up to which commands have been asked for elsewhere.
+            **request: Fields of `Touch`; those that are absent have their defaults.
+
+        Raises:
+            MixtacError: A value is not allowed, or the gesture is not possible with it.
         """
-        with self._lock:
-            self._asked = max(self._asked, until_us // STEP_US)
-            changed, self._changed = self._changed, False
-            return list(self._plays) if changed else None
+        touch = build(Touch, request)
+        if touch.gesture == 'release':
+            force_n, tool = self._sensor.commanded_force()
+            self._sensor.play(release(tool or touch.tool, force_n))
+            return 'released'
+        make = self._pull if touch.gesture == 'pull' else _PROFILES[touch.gesture]
+        self._sensor.play(make(touch))
+        self._tool = touch.tool
+        length = f'for {touch.hold:g} s' if touch.hold else 'until the next touch'
+        return f'{touch.gesture}: {touch.object} {length}'
 
-    def replace(self, plays: list[Play]) -> None:
-        """Play what `changes` of another profile returned."""
-        with self._lock:
-            self._plays = plays
+    def _pull(self, touch: Touch) -> Profile:
+        """Return a pull that continues a press or pull of the same object."""
+        angle = math.radians(touch.pull_direction)
+        force_n, tool = self._sensor.commanded_force()
+        same = tool == touch.tool
+        before = self._sensor.commanded_pull() if same else (0.0, 0.0)
+        # Upwards in the image is against the rows.
+        after = (touch.pull * math.cos(angle), -touch.pull * math.sin(angle))
+        forces = (force_n if same else 0.0, touch.force)
+        return pull(touch.tool, forces, (before, after), touch.hold_s)
 
-    def end_us(self) -> int | None:
-        """Return when the latest scenario ends [us, simulated time], none before the first."""
-        with self._lock:
-            if not self._plays:
-                return None
-            start, scenario = self._plays[-1]
-            return start * STEP_US + round(scenario.duration_s * 1e6)
+    def follow(self, force_n: float) -> None:
+        """Press the last object with a force [N] until the next command, or until it times out.
 
-    def force_at(self, t_us: int) -> tuple[float, Indenter | None]:
-        """Return the force [N] commanded at a time [us, simulated time], and of what.
-
-        Where no force is commanded it is 0, of nothing.
+        Raises:
+            SimulationError: The force is not a number, or out of range.
         """
-        modes, targets, tools = self._commands(-(-t_us // STEP_US) - 1, 1)
-        if modes[0] != Mode.FORCE:
-            return 0.0, None
-        return float(targets[0]), self.indenters[tools[0]]
-
-    def pull_at(self, t_us: int) -> tuple[float, float]:
-        """Return the force across the normal commanded at a time [us]; none where none is."""
-        motion = self.motion(-(-t_us // STEP_US) - 1, 1)
-        right, down = np.nan_to_num(still(1) if motion is None else motion)[0, 5:].tolist()
-        return right, down
-
-    def longest_step(self, first: int, count: int) -> int:
-        """Return the most grid steps that may be taken at once from ``first`` on."""
-        longest = count
-        for begin, end, play in self._spans(first, count):
-            longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))
-        return longest
-
-    def motion(self, first: int, count: int) -> Floats | None:
-        """Return the motion across the normal; as in `mixtac_sim.world.segments.Profile`.
-
-        What touches anew begins where the first contact was.
-        """
-        steps = still(count)
-        for begin, end, play in self._spans(first, count):
-            part = play.scenario.motion(begin - play.start, end - begin)
-            if part is not None:
-                steps[begin - first : end - first] = part
-                # Skin that was pulled aside keeps that state.
-                self._moves = True
-            if begin == play.start and not play.scenario.goes_on:
-                steps[begin - first, :3] = np.nan
-        return steps if self._moves else None
-
-    def commands(self, first: int, count: int) -> Commands:
-        """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
-        with self._lock:
-            self._asked = max(self._asked, first)
-        return self._commands(first, count)
-
-    def _commands(self, first: int, count: int) -> Commands:
-        modes, targets = np.zeros(count, np.int8), np.zeros(count)
-        tools = np.zeros(count, np.int8)
-        for begin, end, play in self._spans(first, count):
-            played = play.scenario.commands(begin - play.start, end - begin)
-            places = np.array(
-                [self.indenters.index(tool) for tool in play.scenario.indenters], np.int8
-            )
-            span = slice(begin - first, end - first)
-            modes[span], targets[span], tools[span] = played[0], played[1], places[played[2]]
-        return modes, targets, tools
-
-    def _spans(self, first: int, count: int) -> list[tuple[int, int, Play]]:
-        """Return which scenario commands which grid steps, as (begin, end, play)."""
-        with self._lock:
-            plays = list(self._plays)
-        ends = [play.start for play in plays[1:]] + [first + count]
-        spans = [
-            (max(play.start, first), min(end, first + count), play)
-            for play, end in zip(plays, ends, strict=False)
-        ]
-        return [span for span in spans if span[0] < span[1]]
-
-    def _forget(self) -> None:
-        """Drop scenarios that were replaced before the simulation's present."""
-        while len(self._plays) > 1 and self._plays[1].start <= self._asked:
-            del self._plays[0]
+        if not 0.0 <= force_n <= LARGEST_N:
+            raise SimulationError(f'commanded force {force_n} N', remedy=f'give 0 to {LARGEST_N} N')
+        before_n, tool = self._sensor.commanded_force()
+        self._sensor.play(follow(self._tool, before_n if tool == self._tool else 0.0, force_n))

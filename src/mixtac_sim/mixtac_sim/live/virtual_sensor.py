@@ -3,20 +3,26 @@
 """The virtual sensor in real time: simulation, virtual camera and reference force side by side.
 
 The simulation runs a little ahead of the clock, because a frame must be known before its readout
-begins. While a scenario plays whose future is known, it runs much further ahead, so that
-an impact, which takes longer to compute than it lasts, is ready in time; a patient sensor lets no
-time pass before the scenario is known. Camera, truth and reference hand everything over when its
-time has come. If the host cannot keep up all the same, simulated time stops for a while, and the
-loss is counted. A node simulates in a process of its own.
+begins. While a scenario plays whose future is known, it runs further ahead, so that an impact,
+which takes longer to compute than it lasts, is ready in time. Camera, truth and reference hand
+everything over when its time has come. Simulated time stops while the host is behind: nothing is
+lost, and the loss of time is counted.
+
+A node simulates in a process of its own: in one process, the simulation and the threads that feed
+USB and topics share an interpreter lock, and together they get no more than one core.
 """
 
 from __future__ import annotations
 
-import math
+import contextlib
+import multiprocessing
+import os
+import signal
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from threading import Event, Lock, Thread
 from typing import Any, Final, Protocol
 
@@ -25,11 +31,7 @@ from numpy.typing import NDArray
 
 from mixtac_node.process import lower_priority
 from mixtac_sim import SimulationError
-from mixtac_sim.live import touch
-from mixtac_sim.live.simulation_process import SimulationProcess
-from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.mechanics.indenters import LIVE_INDENTERS, Indenter
-from mixtac_sim.parameters import TouchParameters
+from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS, Indenter
 from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
@@ -37,14 +39,12 @@ from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
 from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
-from mixtac_sim.world.segments import Profile
+from mixtac_sim.world.segments import LiveProfile, Profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor, truth_wrench
 
 
 class SimulationClock:
     """Simulated time [us] that runs with the host's monotonic clock once started.
-
-    If the host cannot keep up, simulated time stops for a while; that loss is counted.
 
     Args:
         monotonic_ns: The host's monotonic clock [ns].
@@ -88,30 +88,30 @@ class SimulationClock:
         return np.asarray(self.start_epoch_ns + (t_us + self.lost_us) * 1000, np.int64)
 
 
-PERIOD_S: Final = 0.001
-# A patient sensor wakes its reader half as often: on two cores being woken costs more than reading.
-_PATIENT_PERIOD_S: Final = 0.002
-_CHUNK_US: Final = 4000
-# Little beside any lead; a scenario begins two chunks later at the earliest.
-_AHEAD_PERIOD_S: Final = 0.02
-# What is computed ahead is kept: frames of 45 s are 200 MB.
-_MOST_AHEAD_US: Final = 45_000_000
-# Niceness of a patient sensor's releasing thread, of the thread that computes ahead, and of the
-# process that simulates a patient sensor.
-_PATIENT_NICENESS: Final = 5
-_AHEAD_NICENESS: Final = 10
-_PROCESS_NICENESS: Final = 15
-# A frame is known at the end of the chunk in which its readout has ended.
-_FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
-_MAX_BEHIND_US: Final = 250_000
-_MAX_BATCHES: Final = 2048
-# What is skipped: whole periods of the truth and of the reference.
-_SKIP_US: Final = 10_000
-# A patient sensor waits when it is late by more than this, or more bytes than these are not read.
-_PATIENCE_US: Final = 20_000
-_BACKLOG: Final = 1 << 19
-# Who records a scenario still does so for a while after its end.
-_AFTERMATH_US: Final = 2_000_000
+PERIOD_S: Final = 0.002
+"""Period in which data are handed over [s]: on two cores, waking the reader more often costs more
+than reading."""
+CHUNK_US: Final = 4000
+"""Simulated time of one call of the simulation [us]."""
+AHEAD_PERIOD_S: Final = 0.02
+"""Pause of the thread that computes ahead [s]: little beside any lead."""
+MOST_AHEAD_US: Final = 45_000_000
+"""Largest lead of the simulation [us]: frames of 45 s are 200 MB."""
+KNOWN_AFTER_US: Final = RESET_US + READOUT_US + CHUNK_US
+"""A frame is known at the end of the chunk in which its readout has ended [us]."""
+MOST_BEHIND_US: Final = 20_000
+"""Time by which the output may be late before simulated time stops [us]."""
+MOST_UNREAD: Final = 1 << 19
+"""Bytes that the host may leave unread before simulated time stops."""
+AFTERMATH_US: Final = 2_000_000
+"""Time after a scenario that is computed ahead, too: who records it still does so [us]."""
+MOST_BATCHES: Final = 2048
+"""Batches of truth or reference that wait to be fetched."""
+RELEASE_NICENESS: Final = 5
+"""Niceness of the thread that keeps up with the clock: the reader of the camera goes first."""
+AHEAD_NICENESS: Final = 10
+"""Niceness of the thread that computes ahead and of the process that simulates: when they are late,
+it costs nothing but time."""
 
 
 class Simulation(Protocol):
@@ -133,15 +133,13 @@ class SensorState:
 
     Attributes:
         simulated_us: Progress of the simulation [us, simulated time].
-        running: Whether the thread of the sensor is alive.
+        running: Whether the threads of the sensor are alive.
         ahead_us: How far the simulation is ahead of the clock [us].
         late_us: Delay of the output behind the clock [us].
         overruns: Number of times the host could not keep up and time stopped.
-        lost_us: Total time for which it stopped [us].
-        behind_us: How far stamps of the camera and the reference lie in the past for that [us]: 0
-            where they skip.
+        lost_us: Total time for which it stopped [us]: stamps of the camera and the reference lie as
+            far in the past.
         playing: Whether a scenario is under way.
-        computing: Whether time stands still until more of a scenario is known.
         streaming: Whether a host reads the camera.
         batches_dropped: Batches of truth or reference that were not fetched in time.
     """
@@ -152,9 +150,7 @@ class SensorState:
     late_us: int
     overruns: int
     lost_us: int
-    behind_us: int
     playing: bool
-    computing: bool
     streaming: bool
     batches_dropped: int
 
@@ -169,11 +165,6 @@ class VirtualSensor:
         reference: The reference force sensor.
         inertial: The camera's inertial unit.
         clock: Simulated time.
-        patient: Time stops while the host is behind, so that nothing is lost; otherwise the camera
-            drops what is not read in time, as a real one does.
-        skips: Where time stopped nevertheless, the clocks of camera and reference skip it, as those
-            of a real sensor go on: their stamps lie on the host's clock again, with a gap in the
-            data, in which nothing has moved.
     """
 
     def __init__(
@@ -184,13 +175,7 @@ class VirtualSensor:
         reference: ReferenceSensor,
         inertial: InertialUnit,
         clock: SimulationClock,
-        *,
-        patient: bool = False,
-        skips: bool = False,
     ) -> None:
-        self._patient, self._skips = patient, skips
-        self._skipped_us = 0
-        self._waiting = self._resting = False
         self._simulation = simulation
         self._profile = profile
         self.device = device
@@ -202,11 +187,12 @@ class VirtualSensor:
         self._ahead_us = 0
         self._ahead_until_us = 0
         self._overruns = 0
+        self._late = False
         self._settings_version = (0, 0)
         self._aps = (0, 0)
         self._biases: dict[int, int] = {}
         self._pixels = PixelSettings()
-        # What became known by a simulated time [us]: the truth, and the samples of the reference.
+        # Truth and samples of the reference that are known up to a simulated time [us].
         self._pending: deque[tuple[int, NDArray[Any], WrenchSamples]] = deque()
         self._lock = Lock()
         self._simulating = Lock()
@@ -237,20 +223,16 @@ class VirtualSensor:
         Args:
             scenario: The scenario.
             lead_us: Time by which it starts later [us]. It is computed up to twice as far ahead,
-                and by a patient sensor as far as 45 s, before time goes on; what is played
-                meanwhile and new settings of the camera take effect as late. Not with 0.
+                45 s at most; what is played meanwhile and new settings of the camera take effect
+                as late. Not with 0.
 
         Returns:
             When it starts [us, simulated time].
         """
         start_us = self._next_start_us() + lead_us
         self._profile.play(scenario, start_us)
-        self._ahead_until_us = start_us + round(scenario.duration_s * 1e6) + _AFTERMATH_US
-        self._ahead_us = min(2 * lead_us, _MOST_AHEAD_US)
-        if self._patient and lead_us:
-            # In many short waits everything would compete for the host at every moment, and all
-            # messages would be late.
-            self._ahead_us, self._resting = _MOST_AHEAD_US, True
+        self._ahead_until_us = start_us + round(scenario.duration_s * 1e6) + AFTERMATH_US
+        self._ahead_us = min(2 * lead_us, MOST_AHEAD_US)
         return start_us
 
     def commanded_force(self) -> tuple[float, Indenter | None]:
@@ -262,7 +244,7 @@ class VirtualSensor:
         return self._profile.pull_at(self._next_start_us())
 
     def _next_start_us(self) -> int:
-        return self._simulated_us + 2 * _CHUNK_US
+        return self._simulated_us + 2 * CHUNK_US
 
     def time_ns(self) -> int:
         """Return the time up to which everything was handed over; it never runs backwards.
@@ -270,7 +252,7 @@ class VirtualSensor:
         Returns:
             Host time at the start, plus simulated time since [ns since the Unix epoch].
         """
-        return self._clock.start_epoch_ns + 1000 * (self._due_us + self._skipped_us)
+        return self._clock.start_epoch_ns + 1000 * self._due_us
 
     def take_truth(self) -> list[WrenchSamples]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""
@@ -290,26 +272,21 @@ class VirtualSensor:
             late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
-            behind_us=self._clock.lost_us - self._skipped_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
-            computing=self._resting,
             streaming=self.device.streaming,
             batches_dropped=self._dropped,
         )
 
     def step(self) -> None:
-        """Bring simulation, camera, truth and reference up to now."""
+        """Bring simulation, camera, truth and reference up to now, unless the host is behind."""
         if self._simulating.acquire(blocking=False):
             self._follow_registers()
             self._simulating.release()
-        while not (self._patient and self._wait_for_host()):
+        while not self._wait_for_host():
             now_us = self._clock.now_us()
             # A frame must be known before its readout begins, so all that is handed over stays
-            # behind the simulation; if that falls behind, data come late but stamped right.
+            # behind the simulation.
             known_us = self._known_us()
-            if now_us - known_us > _MAX_BEHIND_US:
-                self._fall_behind(now_us - known_us, known_us)
-                continue
             self._hand_over(min(now_us, known_us))
             if known_us >= now_us:
                 return
@@ -322,56 +299,34 @@ class VirtualSensor:
         self.device.advance(self._due_us)
         self._release(self._due_us)
 
-    def _fall_behind(self, lost_us: int, known_us: int) -> None:
-        self._overruns += 1
-        if self._skips:
-            # What is known keeps its time.
-            self._hand_over(known_us)
-            lost_us = -(-lost_us // _SKIP_US) * _SKIP_US
-            self.device.skip(lost_us)
-            self._skipped_us += lost_us
-        self._clock.lose(lost_us)
-
     def _wait_for_host(self) -> bool:
+        """Return whether simulated time stops now because the host is behind."""
         behind_us = self._clock.now_us() - self._due_us
-        self._resting = self._needs_rest()
-        slow = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
-        waiting = slow or self._resting
-        if waiting:
+        late = behind_us > MOST_BEHIND_US or self.device.backlog > MOST_UNREAD
+        if late:
             self._clock.lose(behind_us)
-            self._overruns += slow and not self._waiting
-        self._waiting = waiting
-        return waiting
-
-    def _needs_rest(self) -> bool:
-        """Return whether more of a scenario has to be computed ahead before time goes on."""
-        if not self._ahead_us or self._simulated_us >= self._ahead_until_us:
-            return False
-        if self._resting:
-            return self._simulated_us < self._due_us + self._ahead_us
-        return self._known_us() < self._clock.now_us()
+            self._overruns += not self._late
+        self._late = late
+        return late
 
     def _known_us(self) -> int:
-        return self._simulated_us - self._aps[0] - _FRAME_US
+        return self._simulated_us - self._aps[0] - KNOWN_AFTER_US
 
     def _run(self) -> None:
-        if self._patient:
-            # What reads the camera goes first on a busy CPU; then this thread is late, and waits.
-            lower_priority(_PATIENT_NICENESS)
-        period_s = _PATIENT_PERIOD_S if self._patient else PERIOD_S
+        lower_priority(RELEASE_NICENESS)
         deadline = time.monotonic()
         while not self._stop.is_set():
             self.step()
-            deadline = max(deadline + period_s, time.monotonic())
+            deadline = max(deadline + PERIOD_S, time.monotonic())
             # Not Event.wait, which takes several times as long.
             time.sleep(max(0.0, deadline - time.monotonic()))
 
     def _compute_ahead(self) -> None:
-        lower_priority(_AHEAD_NICENESS)
+        lower_priority(AHEAD_NICENESS)
         while not self._stop.is_set():
             limit_us = min(self._clock.now_us() + self._ahead_us, self._ahead_until_us)
             if self._simulated_us >= limit_us:
-                self._stop.wait(_AHEAD_PERIOD_S)
+                self._stop.wait(AHEAD_PERIOD_S)
                 continue
             with self._simulating:
                 self._follow_registers()
@@ -404,7 +359,7 @@ class VirtualSensor:
         self._simulation.configure_aps(ApsSettings(exposure_us, interval_us, first_us))
 
     def _simulate(self) -> None:
-        self._simulated_us += _CHUNK_US
+        self._simulated_us += CHUNK_US
         out = self._simulation.advance(self._simulated_us)
         self._inertial.feel(out.wrench_us, out.wrench)
         readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
@@ -418,13 +373,13 @@ class VirtualSensor:
             _, truth, samples = self._pending.popleft()
             stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
             self._put(self._truth, WrenchSamples(stamp_ns, truth_wrench(truth)))
-            stamp_ns = samples.t_ns + (self._clock.start_epoch_ns + 1000 * self._skipped_us)
+            stamp_ns = samples.t_ns + self._clock.start_epoch_ns
             self._put(self._references, WrenchSamples(stamp_ns, samples.wrench))
 
     def _put(self, queue: deque[WrenchSamples], batch: WrenchSamples) -> None:
         with self._lock:
             queue.append(batch)
-            if len(queue) > _MAX_BATCHES:
+            if len(queue) > MOST_BATCHES:
                 queue.popleft()
                 self._dropped += 1
 
@@ -435,126 +390,80 @@ class VirtualSensor:
         return batches
 
 
-LARGEST_N: Final = 20.0
-"""Largest force that may be commanded [N]; the layer's model ends about there."""
-ENDLESS_S: Final = 86_400.0
-"""Duration of a contact that is held until it is released [s]."""
+class SimulationProcess:
+    """Simulates what a `TactileSensor` does, in a process that ends with this one.
 
-
-class TouchControl:
-    """Carries out requests with the current parameters.
-
-    Args:
-        sensor: The live sensor.
+    The process is forked: make it before this process starts threads, and `begin` when the sensor
+    is known.
     """
 
-    def __init__(self, sensor: VirtualSensor) -> None:
-        self._sensor = sensor
-        self.gestures: dict[str, Callable[[TouchParameters], str]] = {
-            'press': self.press,
-            'pull': self.pull,
-            'load': self.load,
-            'drop': self.drop,
-            'vibrate': self.vibrate,
-            'slide': self.slide,
-            'torsion': self.torsion,
-            'release': self.release,
-        }
-
-    def press(self, p: TouchParameters) -> str:
-        """Press the object on the skin; return a description for the user."""
-        self._sensor.play(touch.press(LIVE_INDENTERS[p.object], p.press_force, _hold_s(p)))
-        return f'pressing {p.object} with {p.press_force} N {_for(p)}'
-
-    def pull(self, p: TouchParameters) -> str:
-        """Press the object and pull it aside; return a description for the user.
-
-        It goes on from a press or pull of the same object.
-        """
-        tool, angle = LIVE_INDENTERS[p.object], math.radians(p.pull_direction)
-        before_n, before = self._sensor.commanded_force()
-        same = before == tool
-        pull_n = (p.pull_force * math.cos(angle), -p.pull_force * math.sin(angle))
-        forces = (before_n if same else 0.0, p.press_force)
-        pulls = (self._sensor.commanded_pull() if same else (0.0, 0.0), pull_n)
-        self._sensor.play(touch.pull(tool, forces, pulls, _hold_s(p)))
-        where = f'towards {p.pull_direction} deg'
-        return f'pulling {p.object} by {p.pull_force} N {where} under {p.press_force} N, {_for(p)}'
-
-    def load(self, p: TouchParameters) -> str:
-        """Put the object down; return a description for the user.
-
-        Raises:
-            SimulationError: The object has no mass.
-        """
-        self._sensor.play(touch.load(LIVE_INDENTERS[p.object], _hold_s(p)))
-        return f'putting {p.object} down {_for(p)}'
-
-    def drop(self, p: TouchParameters) -> str:
-        """Drop the object; return a description for the user.
-
-        Raises:
-            SimulationError: The object has no mass.
-        """
-        self._sensor.play(touch.drop(LIVE_INDENTERS[p.object], p.drop_height, _hold_s(p)))
-        return f'dropping {p.object} from {p.drop_height} mm'
-
-    def vibrate(self, p: TouchParameters) -> str:
-        """Vibrate the object in the skin; return a description for the user.
-
-        Raises:
-            SimulationError: It would leave the skin.
-        """
-        gesture = touch.vibrate(
-            LIVE_INDENTERS[p.object],
-            p.vibration_depth,
-            p.vibration_amplitude,
-            p.vibration_frequency,
-            _hold_s(p),
+    def __init__(self) -> None:
+        context = multiprocessing.get_context('fork')
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, self._pipe), name='simulation', daemon=True
         )
-        self._sensor.play(gesture)
-        return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
+        self._process.start()
+        theirs.close()
+        self._profile = LiveProfile()
+        # Calls of the sensor that go with the next request.
+        self._calls: list[tuple[str, Any]] = []
 
-    def slide(self, p: TouchParameters) -> str:
-        """Press the object and pull it over the skin; return a description for the user."""
-        self._press_and_move(p, (p.slide_distance, 0.0, 0.0))
-        return f'sliding {p.object} by {p.slide_distance} mm under {p.press_force} N, {_for(p)}'
+    def begin(
+        self, device_seed: int, trial_seed: int, profile: LiveProfile, *, preset: Preset
+    ) -> None:
+        """Make the sensor.
 
-    def torsion(self, p: TouchParameters) -> str:
-        """Press the object and turn it about the normal; return a description for the user."""
-        self._press_and_move(p, (0.0, 0.0, math.radians(p.torsion_angle)))
-        return f'turning {p.object} by {p.torsion_angle} deg under {p.press_force} N, {_for(p)}'
+        Args:
+            device_seed: See `TactileSensor`.
+            trial_seed: See `TactileSensor`.
+            profile: Contacts that are played; those of the sensor follow them.
+            preset: See `TactileSensor`.
+        """
+        self._profile = profile
+        self._pipe.send((device_seed, trial_seed, profile.indenters, preset))
 
-    def _press_and_move(self, p: TouchParameters, move: tuple[float, float, float]) -> None:
-        tool = LIVE_INDENTERS[p.object]
-        self._sensor.play(touch.press(tool, p.press_force, _hold_s(p), move))
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the settings of the next frames; see `TactileSensor`."""
+        self._calls.append(('configure_aps', settings))
 
-    def release(self, p: TouchParameters) -> str:
-        """Take the object off; return a description for the user."""
-        force_n, tool = self._sensor.commanded_force()
-        self._sensor.play(touch.release(tool or LIVE_INDENTERS[p.object], force_n))
-        return 'released'
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the event pixels; see `TactileSensor`."""
+        self._calls.append(('configure_pixels', nominal))
 
-    def follow(self, p: TouchParameters, force_n: float) -> None:
-        """Press the object with a force [N] until the next command, or until it times out.
+    def advance(self, until_us: int) -> SensorOutput:
+        """Return what happened from the last call's time to before ``until_us`` [us].
 
         Raises:
-            SimulationError: The force is not a number, or out of range.
+            SimulationError: The process has ended.
         """
-        if not math.isfinite(force_n) or not 0.0 <= force_n <= LARGEST_N:
-            raise SimulationError(f'commanded force {force_n} N: 0 to {LARGEST_N} N are possible')
-        wanted = LIVE_INDENTERS[p.object]
-        before_n, tool = self._sensor.commanded_force()
-        start_n = before_n if tool == wanted else 0.0
-        self._sensor.play(touch.follow(wanted, start_n, force_n))
+        plays = self._profile.changes(until_us)
+        calls, self._calls = self._calls, []
+        try:
+            self._pipe.send((plays, calls, until_us))
+            out: SensorOutput = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            raise SimulationError('the process of the simulation has ended') from error
+        return out
 
 
-def _hold_s(p: TouchParameters) -> float:
-    return p.hold_seconds or ENDLESS_S
-
-
-def _for(p: TouchParameters) -> str:
-    return f'for {p.hold_seconds} s' if p.hold_seconds else 'until released'
+def _serve(pipe: Connection, theirs: Connection) -> None:
+    """Simulate on request until the other process ends."""
+    theirs.close()
+    # Ctrl-C comes to the whole group of processes; the other end of the pipe decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(EOFError, OSError):
+        device_seed, trial_seed, indenters, preset = pipe.recv()
+        os.nice(AHEAD_NICENESS)
+        profile = LiveProfile(indenters)
+        sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
+        while True:
+            plays, calls, until_us = pipe.recv()
+            if plays is not None:
+                profile.replace(plays)
+            for name, settings in calls:
+                getattr(sensor, name)(settings)
+            pipe.send(sensor.advance(until_us))
 
 
 def make_virtual_sensor(
@@ -566,8 +475,6 @@ def make_virtual_sensor(
     simulation: Simulation | None = None,
     clock: SimulationClock | None = None,
     process: SimulationProcess | None = None,
-    patient: bool = False,
-    skips: bool = False,
 ) -> VirtualSensor:
     """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
 
@@ -580,14 +487,10 @@ def make_virtual_sensor(
         simulation: Simulation to run instead of a tactile sensor.
         clock: Simulated time; by default that of the host.
         process: Where to simulate the tactile sensor; by default in this process.
-        patient: See `VirtualSensor`.
-        skips: See `VirtualSensor`.
     """
     profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
     if process is not None:
-        # What is late costs a patient sensor nothing but time.
-        niceness = _PROCESS_NICENESS if patient else 0
-        process.begin(device_seed, seed, profile, preset=preset, niceness=niceness)
+        process.begin(device_seed, seed, profile, preset=preset)
     return VirtualSensor(
         simulation or process or TactileSensor(device_seed, seed, profile, preset=preset),
         profile,
@@ -595,6 +498,4 @@ def make_virtual_sensor(
         ReferenceSensor(seed, preset=preset),
         InertialUnit(device_seed),
         clock,
-        patient=patient,
-        skips=skips,
     )

@@ -43,7 +43,6 @@ from threadpoolctl import threadpool_limits
 
 from mixtac_events.arrays import Floats
 from mixtac_sim import SimulationError
-from mixtac_sim.mechanics.indenters import Indenter
 
 ALPHA = np.concatenate([np.linspace(0.02, 0.3, 15), np.linspace(0.35, 2.5, 44)])
 """Grid of contact radius / layer thickness."""
@@ -361,13 +360,18 @@ class EdgeContact:
 
 
 @lru_cache(maxsize=8)
-def solve_edge(edge: Indenter, thickness_mm: float) -> EdgeContact:
+def solve_edge(radius_mm: float, length_mm: float, thickness_mm: float) -> EdgeContact:
     """Return the contact of an edge with a layer (below 2 s, once per edge and layer).
+
+    Args:
+        radius_mm: Radius of the edge's rounding [mm].
+        length_mm: Length of the edge [mm].
+        thickness_mm: Thickness of the layer [mm].
 
     Raises:
         SimulationError: The search for the pressures did not end.
     """
-    gap, waves = _gap(edge), _waves(thickness_mm)
+    gap, waves = _gap(radius_mm, length_mm), _waves(thickness_mm)
     depths = DEEPEST * thickness_mm * np.linspace(0.0, 1.0, ROWS) ** 2
     pressure, cell = np.zeros(SHAPE), CELL_MM[0] * CELL_MM[1]
     force, area, spectra = np.zeros(ROWS), np.zeros(ROWS), []
@@ -381,12 +385,12 @@ def solve_edge(edge: Indenter, thickness_mm: float) -> EdgeContact:
     return EdgeContact(thickness_mm, depths, force, radius, np.stack(spectra))
 
 
-def _gap(edge: Indenter) -> Floats:
+def _gap(radius_mm: float, length_mm: float) -> Floats:
     """Return how far the edge is from the skin at first touch [240, 96] [mm]."""
     across = CELL_MM[0] * (np.arange(SHAPE[0]) - SHAPE[0] // 2)
     along = CELL_MM[1] * (np.arange(SHAPE[1]) - SHAPE[1] // 2)
-    beyond = np.maximum(np.abs(along) - 0.5 * edge.length_mm, 0.0)
-    return np.asarray((across[:, None] ** 2 + beyond**2) / (2.0 * edge.radius_mm))
+    beyond = np.maximum(np.abs(along) - 0.5 * length_mm, 0.0)
+    return np.asarray((across[:, None] ** 2 + beyond**2) / (2.0 * radius_mm))
 
 
 def _waves(thickness_mm: float) -> _Waves:

@@ -15,11 +15,9 @@ from numba import njit
 
 from mixtac_events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, sheared_area
-from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, sheared_area
 from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge
-from mixtac_sim.optics.lens import Lens
-from mixtac_sim.optics.scene import DIAMETER_MM, Markers
+from mixtac_sim.optics.scene import DIAMETER_MM, Lens, Markers
 
 ROWS = 193
 """Rows of the displacement tables."""
@@ -109,7 +107,7 @@ class BeadMotion:
 
     def _edge_table(self, layer: Layer, tool: Indenter, linear_n: Floats) -> Floats:
         """Return the displacements under an edge without the mesh's sag [row, bead, xyz] [mm]."""
-        contact = solve_edge(tool, layer.thickness_mm)
+        contact = solve_edge(tool.radius_mm, tool.length_mm, layer.thickness_mm)
         away = self._axis_mm * self._direction
         height = 1.0 - self._rest[2] / layer.thickness_mm
         solved = contact.displacements(away[0], away[1], height)

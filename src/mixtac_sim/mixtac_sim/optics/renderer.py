@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Floats
 from mixtac_sim.grids import HEIGHT, PADDED, TILE, TILES, WIDTH
 from mixtac_sim.optics.beads import SAG_MM
-from mixtac_sim.optics.lens import Lens
-from mixtac_sim.optics.scene import Lighting, build_sagging
+from mixtac_sim.optics.scene import Lens, Lighting, build_sagging
 
 ONE = 65536
 """Fixed-point one of the sum."""

@@ -10,8 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
-from mixtac_sim.random_streams import BlockStreams, stream
+from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH, BlockStreams, stream
 
 READOUT_US = 6_000
 """Time from the end of the exposure to the last pixel [us] (estimate, 40 frames/s at most)."""

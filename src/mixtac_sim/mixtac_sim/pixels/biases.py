@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_sim.grids import PADDED, PIXELS
-from mixtac_sim.random_streams import stream
+from mixtac_sim.grids import PADDED, PIXELS, stream
 
 DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY = 10, 11, 12, 14, 15, 16
 """Addresses of the biases in the register file."""

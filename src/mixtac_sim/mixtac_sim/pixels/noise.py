@@ -16,9 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim.grids import PADDED, PIXELS, WIDTH
+from mixtac_sim.grids import PADDED, PIXELS, WIDTH, BlockStreams
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
-from mixtac_sim.random_streams import BlockStreams
 
 
 def pack(

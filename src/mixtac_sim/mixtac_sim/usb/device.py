@@ -278,11 +278,6 @@ class VirtualDavis346:
             self._stream.advance(true_us)
             self._data.announce(was_empty=was_empty, age_s=1e-6 * age_us)
 
-    def skip(self, skipped_us: int) -> None:
-        """Let the camera clock skip a time [us] without data; a frame in its readout is lost."""
-        with self._condition:
-            self._stream.skip(skipped_us)
-
     def feed(self, words: NDArray[np.uint16]) -> bool:
         """Send raw stream words as they are, if the run bits are set and the buffer has room.
 

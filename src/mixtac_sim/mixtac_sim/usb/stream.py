@@ -178,21 +178,15 @@ class Oscillator:
 
     def __init__(self, skew_ppm: float) -> None:
         self._skew_ppb = round(skew_ppm * 1000)
-        self._skipped_us = 0
         self.origin_us = 0
 
     def reset(self, true_us: int) -> None:
         """Restart camera time at zero at this true time."""
         self.origin_us = true_us
-        self._skipped_us = 0
-
-    def skip(self, skipped_us: int) -> None:
-        """Let camera time go on as if so much true time [us] had passed."""
-        self._skipped_us += skipped_us
 
     def to_camera(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert true times [us, int64 array] to camera time, rounded down to whole us."""
-        elapsed = true_us - np.int64(self.origin_us - self._skipped_us)
+        elapsed = true_us - np.int64(self.origin_us)
         drift = elapsed * self._skew_ppb // 1_000_000_000
         return np.asarray(elapsed + drift, np.int64)
 
@@ -282,13 +276,6 @@ class StreamAssembler:
         self.done_us = max(self.done_us, true_us)
         if announce and self.running:
             self._fifo.push(np.array([TIMESTAMP_RESET_WORD], np.uint16))
-
-    def skip(self, skipped_us: int) -> None:
-        """Let the camera clock skip a time [us] without data; a frame in its readout is lost."""
-        self._oscillator.skip(skipped_us)
-        self.frames_dropped += bool(len(self._readout.t))
-        self._readout = Blocks.empty()
-        self._stalled = True
 
     def advance(self, true_us: int) -> None:
         """Send everything with a time before ``true_us`` [us, true time]."""

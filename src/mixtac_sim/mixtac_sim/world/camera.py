@@ -13,14 +13,13 @@ from collections.abc import Callable
 import numpy as np
 
 from mixtac_events.arrays import Events, Floats
-from mixtac_sim.grids import PIXELS, STEP_US, cut_block
+from mixtac_sim.grids import PIXELS, STEP_US, BlockStreams, cut_block, stream
 from mixtac_sim.optics.renderer import MeshMotion, Renderer
 from mixtac_sim.optics.scene import Flicker
 from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.pixels.noise import NoiseSource, Readout
-from mixtac_sim.random_streams import BlockStreams, stream
 from mixtac_sim.world.device import Conditions, DeviceModel, draw_flicker
 from mixtac_sim.world.effects import Preset
 

@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
+from mixtac_sim.grids import log_uniform, stream
 from mixtac_sim.mechanics.contact import PronySeries
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
-from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer
 from mixtac_sim.optics.beads import BeadMotion
-from mixtac_sim.optics.lens import SILICONE_INDEX, Lens
 from mixtac_sim.optics.scene import (
     MESH_WIRE_MM,
+    SILICONE_INDEX,
     Flicker,
+    Lens,
     Lighting,
     Markers,
     Scene,
@@ -29,7 +30,6 @@ from mixtac_sim.optics.scene import (
     scatter_markers,
 )
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
-from mixtac_sim.random_streams import log_uniform, stream
 from mixtac_sim.world.effects import EASY, LightEffects, OpticsEffects, Preset
 
 LAMP_WARM_US = 600_000_000

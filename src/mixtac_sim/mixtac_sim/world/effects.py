@@ -18,7 +18,7 @@ from types import MappingProxyType
 import yaml
 
 from mixtac_sim import SimulationError
-from mixtac_sim.mechanics.indenters import IndenterName
+from mixtac_sim.mechanics.elastomer import IndenterName
 
 Range = tuple[float, float]
 

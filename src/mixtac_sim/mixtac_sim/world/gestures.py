@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
-from mixtac_sim.mechanics.indenters import WEIGHT_20_G
+from mixtac_sim.mechanics.elastomer import WEIGHT_20_G
 from mixtac_sim.world.segments import FREE, Pulled, Segment, Tone
 
 DROP_HEIGHT_MM = 50.0

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from mixtac_events.arrays import Floats
-from mixtac_sim.grids import STEP_US
+from mixtac_sim.grids import STEP_US, log_uniform, stream
 from mixtac_sim.mechanics.contact import GRAVITY
-from mixtac_sim.random_streams import log_uniform, stream
 from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.effects import EASY, Preset, TimingEffects
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from numpy.random import Generator
 
 from mixtac_sim import SimulationError
-from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, Indenter
-from mixtac_sim.random_streams import stream
+from mixtac_sim.grids import stream
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, INDENTERS, Indenter
 from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.gestures import (
     SYNC_SPAN_S,

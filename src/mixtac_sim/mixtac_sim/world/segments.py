@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is commanded of a contact from when to when: segments of a force, a place or a drop."""
+"""Commands of a contact: segments of a force, a place or a drop, of a trial or live.
+
+A `Profile` holds the segments of a whole trial. `LiveProfile` replaces it for the live sensor:
+nothing touches the sensor until a scenario is played.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from threading import Lock
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +19,7 @@ from mixtac_events.arrays import Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.mechanics.indenters import HEMISPHERE, Indenter
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, WEIGHT_20_G, Indenter
 
 SLOW_HZ = 40.0
 """Tones up to here are resolved by the steps that bead motion asks for."""
@@ -236,3 +241,150 @@ class Profile:
         if fastest <= SLOW_HZ:
             return count
         return max(int(1.0 / (STEPS_PER_PERIOD * fastest * grid_s)), 1)
+
+
+class Play(NamedTuple):
+    """A scenario and the grid step at which it begins."""
+
+    start: int
+    scenario: Profile
+
+
+class LiveProfile:
+    """Hands the commands of scenarios to the simulation, each from the moment it is played.
+
+    It has the interface of `Profile`, with commands that are not known
+    in advance. A scenario lasts until the next one begins. `play` may be called from any thread.
+
+    Args:
+        indenters: Indenters that scenarios may use.
+
+    Attributes:
+        indenters: Indenters that scenarios may use.
+    """
+
+    def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
+        self.indenters = indenters
+        self._lock = Lock()
+        # The one under way and those to come.
+        self._plays: list[Play] = []
+        self._asked = 0
+        self._changed = self._moves = False
+
+    def play(self, scenario: Profile, start_us: int) -> None:
+        """Play a scenario from a time [us, simulated time] on.
+
+        It replaces what is playing then, and what was to begin later.
+
+        Raises:
+            SimulationError: It uses an indenter that the sensor was not prepared for.
+        """
+        unknown = set(scenario.indenters) - set(self.indenters)
+        if unknown:
+            raise SimulationError(
+                f'scenario {scenario.name!r} uses {unknown.pop()}; the live sensor knows only '
+                f'{self.indenters}'
+            )
+        start = -(-start_us // STEP_US)
+        with self._lock:
+            self._plays = [play for play in self._plays if play.start < start]
+            self._plays.append(Play(start, scenario))
+            self._changed = True
+            self._forget()
+
+    def changes(self, until_us: int) -> list[Play] | None:
+        """Return what is played, None if that has not changed since the last call.
+
+        Args:
+            until_us: Simulated time [us] up to which commands have been asked for elsewhere.
+        """
+        with self._lock:
+            self._asked = max(self._asked, until_us // STEP_US)
+            changed, self._changed = self._changed, False
+            return list(self._plays) if changed else None
+
+    def replace(self, plays: list[Play]) -> None:
+        """Play what `changes` of another profile returned."""
+        with self._lock:
+            self._plays = plays
+
+    def end_us(self) -> int | None:
+        """Return when the latest scenario ends [us, simulated time], none before the first."""
+        with self._lock:
+            if not self._plays:
+                return None
+            start, scenario = self._plays[-1]
+            return start * STEP_US + round(scenario.duration_s * 1e6)
+
+    def force_at(self, t_us: int) -> tuple[float, Indenter | None]:
+        """Return the force [N] commanded at a time [us, simulated time], and of what.
+
+        Where no force is commanded it is 0, of nothing.
+        """
+        modes, targets, tools = self._commands(-(-t_us // STEP_US) - 1, 1)
+        if modes[0] != Mode.FORCE:
+            return 0.0, None
+        return float(targets[0]), self.indenters[tools[0]]
+
+    def pull_at(self, t_us: int) -> tuple[float, float]:
+        """Return the force across the normal commanded at a time [us]; none where none is."""
+        motion = self.motion(-(-t_us // STEP_US) - 1, 1)
+        right, down = np.nan_to_num(still(1) if motion is None else motion)[0, 5:].tolist()
+        return right, down
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once from ``first`` on."""
+        longest = count
+        for begin, end, play in self._spans(first, count):
+            longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))
+        return longest
+
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal; as in `Profile`.
+
+        What touches anew begins where the first contact was.
+        """
+        steps = still(count)
+        for begin, end, play in self._spans(first, count):
+            part = play.scenario.motion(begin - play.start, end - begin)
+            if part is not None:
+                steps[begin - first : end - first] = part
+                # Skin that was pulled aside keeps that state.
+                self._moves = True
+            if begin == play.start and not play.scenario.goes_on:
+                steps[begin - first, :3] = np.nan
+        return steps if self._moves else None
+
+    def commands(self, first: int, count: int) -> Commands:
+        """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
+        with self._lock:
+            self._asked = max(self._asked, first)
+        return self._commands(first, count)
+
+    def _commands(self, first: int, count: int) -> Commands:
+        modes, targets = np.zeros(count, np.int8), np.zeros(count)
+        tools = np.zeros(count, np.int8)
+        for begin, end, play in self._spans(first, count):
+            played = play.scenario.commands(begin - play.start, end - begin)
+            places = np.array(
+                [self.indenters.index(tool) for tool in play.scenario.indenters], np.int8
+            )
+            span = slice(begin - first, end - first)
+            modes[span], targets[span], tools[span] = played[0], played[1], places[played[2]]
+        return modes, targets, tools
+
+    def _spans(self, first: int, count: int) -> list[tuple[int, int, Play]]:
+        """Return which scenario commands which grid steps, as (begin, end, play)."""
+        with self._lock:
+            plays = list(self._plays)
+        ends = [play.start for play in plays[1:]] + [first + count]
+        spans = [
+            (max(play.start, first), min(end, first + count), play)
+            for play, end in zip(plays, ends, strict=False)
+        ]
+        return [span for span in spans if span[0] < span[1]]
+
+    def _forget(self) -> None:
+        """Drop scenarios that were replaced before the simulation's present."""
+        while len(self._plays) > 1 and self._plays[1].start <= self._asked:
+            del self._plays[0]

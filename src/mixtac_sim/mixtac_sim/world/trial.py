@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_recordings.dataset import TrialSpec
-from mixtac_sim.grids import HEIGHT, WIDTH
-from mixtac_sim.random_streams import stream
+from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import EASY, Preset, preset

@@ -17,10 +17,9 @@ import pytest
 from mixtac_recordings.dataset import DatasetDescription
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim import SimulationError
-from mixtac_sim.bags import generation
-from mixtac_sim.bags.generation import generate
-from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
-from mixtac_sim.world.datasets import describe, plan_profile
+from mixtac_sim.bags import trial_bag
+from mixtac_sim.bags.trial_bag import UNFINISHED, generate, is_finished, write_trial
+from mixtac_sim.world.plans import describe, plan_profile
 
 
 def description(trials=2, seconds=2.6):
@@ -64,9 +63,9 @@ def test_processes_write_the_same_bytes(whole, tmp_path):
 def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     code = (
         'from pathlib import Path\n'
-        'from mixtac_sim.bags.generation import generate\n'
-        'from mixtac_sim.world.datasets import describe\n'
-        'from mixtac_sim.world.datasets import plan_profile\n'
+        'from mixtac_sim.bags.trial_bag import generate\n'
+        'from mixtac_sim.world.plans import describe\n'
+        'from mixtac_sim.world.plans import plan_profile\n'
         "planned = plan_profile('idle', 2, 2.6, preset='easy')\n"
         "plan = describe('idle', 0, 'easy', 'trial', planned)\n"
         f'generate(plan, Path({str(tmp_path)!r}))\n'
@@ -146,8 +145,8 @@ def test_a_bag_that_cannot_be_written_is_named(tmp_path):
 
 def test_a_killed_worker_is_an_expected_failure(tmp_path, monkeypatch):
     def killed(*_args, **_kwargs):
-        raise generation.TerminatedWorkerError('gone')
+        raise trial_bag.TerminatedWorkerError('gone')
 
-    monkeypatch.setattr(generation, 'write_trial', killed)
+    monkeypatch.setattr(trial_bag, 'write_trial', killed)
     with pytest.raises(RecordingError):
         generate(description(trials=1), tmp_path)

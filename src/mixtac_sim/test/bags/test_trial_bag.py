@@ -17,7 +17,7 @@ from mixtac_events.codec import decode
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_recordings.summary import summarise
-from mixtac_sim.bags.messages import TrialClocks
+from mixtac_sim.bags.camera import TrialClocks
 from mixtac_sim.bags.trial_bag import BAG_TOPICS, is_finished, trial_messages, write_trial
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,13 +11,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from mixtac_events.errors import MixtacError
 from mixtac_sim import SimulationError
 from mixtac_sim.live import touch as live_gestures
-from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.live.virtual_sensor import ENDLESS_S, LARGEST_N, TouchControl
+from mixtac_sim.live.touch import ENDLESS_S, LARGEST_N, TouchControl
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
-from mixtac_sim.parameters import TouchParameters
+from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS
+from mixtac_sim.world.segments import LiveProfile
 from mixtac_sim.world.sensor import TactileSensor
 
 STEP_US = 125
@@ -60,19 +59,16 @@ def control(sensor):
     return TouchControl(sensor)
 
 
-P = TouchParameters()
+GESTURES = ('press', 'pull', 'slide', 'torsion', 'load', 'drop', 'vibrate', 'release')
 
 
-def test_every_gesture_is_a_service_and_says_what_it_does(control):
-    p = replace(P, object='weight_20_g')
-    assert set(control.gestures) == {
-        *('press', 'pull', 'load', 'drop', 'vibrate', 'slide', 'torsion', 'release')
-    }
-    assert all(gesture(p) for gesture in control.gestures.values())
+@pytest.mark.parametrize('gesture', GESTURES)
+def test_every_gesture_has_defaults_and_a_description(control, gesture):
+    assert control.touch(gesture=gesture, object='weight_20_g')
 
 
 def test_a_press_reaches_its_force_and_goes_away(sensor, control):
-    control.press(replace(P, press_force=0.7, hold_seconds=1.0))
+    control.touch(gesture='press', force=0.7, hold=1.0)
     modes, targets = sensor.commands(2_000_000)
     assert targets.max() == pytest.approx(0.7)
     held = np.count_nonzero(np.isclose(targets, 0.7)) * STEP_US * 1e-6
@@ -82,22 +78,22 @@ def test_a_press_reaches_its_force_and_goes_away(sensor, control):
 
 def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
-    control.slide(replace(P, slide_distance=1.5, hold_seconds=0.5))
+    control.touch(gesture='slide', distance=1.5, hold=0.5)
     steps = sensor.profile.motion(0, 24_000)
     assert np.nansum(steps[:, :5], axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
     assert np.isnan(steps[:, 5:]).all()
     assert np.nancumsum(steps[:, 0]).max() == pytest.approx(1.5)
     sensor.commands(3_000_000)
-    control.torsion(replace(P, torsion_angle=-30.0, hold_seconds=0.0))
+    control.touch(gesture='torsion', angle=-30.0, hold=0.0)
     turned = sensor.profile.motion(24_000, 80_000)[:, 2]
     assert np.nansum(turned) == pytest.approx(np.radians(-30.0))
 
 
 def test_a_pull_goes_on_from_the_press_and_from_the_pull_before(sensor, control):
-    held = replace(P, press_force=0.8, hold_seconds=0.0)
-    control.pull(replace(held, pull_force=0.0))
+    held = {'gesture': 'pull', 'force': 0.8, 'hold': 0.0}
+    control.touch(**held, pull=0.0)
     sensor.commands(1_000_000)
-    control.pull(replace(held, pull_force=0.3, pull_direction=90.0))
+    control.touch(**held, pull=0.3, pull_direction=90.0)
     first, last = 1_000_000 // STEP_US, 3_000_000 // STEP_US
     pull = sensor.profile.motion(first, last - first)[:, 5:]
     _, targets = sensor.commands(3_000_000)
@@ -107,27 +103,26 @@ def test_a_pull_goes_on_from_the_press_and_from_the_pull_before(sensor, control)
     # Upwards in the image is against the rows.
     assert pull[-1] == pytest.approx([0.0, -0.3])
     assert sensor.commanded_pull() == pytest.approx((0.0, -0.3))
-    control.pull(replace(held, pull_force=0.2))
+    control.touch(**held, pull=0.2)
     assert sensor.profile.motion(last, 80)[-1, 5:] == pytest.approx([0.0, -0.3], abs=0.01)
-    control.release(P)
+    control.touch(gesture='release')
     sensor.commands(4_000_000)
     assert sensor.commanded_pull() == (0.0, 0.0)
 
 
 def test_a_load_is_the_weight_of_the_object(sensor, control):
-    control.load(replace(P, object='weight_50_g', hold_seconds=0.0))
+    control.touch(gesture='load', object='weight_50_g', hold=0.0)
     _, targets = sensor.commands(60_000_000)
     assert targets[-1] == pytest.approx(0.05 * 9.80665)
-    control.release(P)
+    control.touch(gesture='release')
     modes, targets = sensor.commands(61_000_000)
     assert not modes[-100:].any()
     assert np.abs(np.diff(targets)).max() < 0.01
 
 
 def test_a_drop_falls_from_its_height_again_and_again(sensor, control):
-    p = replace(P, object='weight_20_g', drop_height=30.0, hold_seconds=0.5)
     for until_us in (400_000, 2_000_000):
-        control.drop(p)
+        control.touch(gesture='drop', object='weight_20_g', height=30.0, hold=0.5)
         modes, targets = sensor.commands(until_us)
         falling = modes == Mode.DROP
         begins = np.flatnonzero(falling[1:] & ~falling[:-1]) + 1
@@ -137,8 +132,7 @@ def test_a_drop_falls_from_its_height_again_and_again(sensor, control):
 
 
 def test_a_vibration_has_its_frequency_and_amplitude(sensor, control):
-    p = replace(P, vibration_frequency=80.0, vibration_amplitude=0.04, vibration_depth=0.2)
-    control.vibrate(p)
+    control.touch(gesture='vibrate', frequency=80.0, amplitude=0.04, depth=0.2)
     modes, targets = sensor.commands(1_500_000)
     middle = targets[(modes == Mode.POSITION)][4000:8000]
     assert middle.max() == pytest.approx(0.24, abs=1e-3)
@@ -155,7 +149,7 @@ def test_commanded_forces_are_followed_without_a_gap(steps):
     control = TouchControl(sensor)
     modes, targets = [], []
     for force, pause_ms in steps:
-        control.follow(P, force)
+        control.follow(force)
         part = sensor.commands(sensor.now_us + 1000 * pause_ms)
         modes.append(part[0])
         targets.append(part[1])
@@ -169,7 +163,7 @@ def test_commanded_forces_are_followed_without_a_gap(steps):
 
 
 def test_a_commanded_force_fades_when_no_new_one_comes(sensor, control):
-    control.follow(P, 1.0)
+    control.follow(1.0)
     _, targets = sensor.commands(200_000)
     assert targets[-1] == pytest.approx(1.0)
     modes, _ = sensor.commands(600_000)
@@ -179,28 +173,32 @@ def test_a_commanded_force_fades_when_no_new_one_comes(sensor, control):
 @pytest.mark.parametrize('force', [float('nan'), float('inf'), -0.1, LARGEST_N + 1.0])
 def test_senseless_forces_are_refused(sensor, control, force):
     with pytest.raises(SimulationError):
-        control.follow(P, force)
+        control.follow(force)
     assert sensor.profile.end_us() is None
 
 
 @pytest.mark.parametrize(
-    ('gesture', 'changes'),
+    'request_',
     [
-        ('load', {}),
-        ('drop', {}),
-        ('vibrate', {'vibration_amplitude': 0.5, 'vibration_depth': 0.2}),
+        {'gesture': 'poke'},
+        {'gesture': 'press', 'object': 'banana'},
+        {'gesture': 'press', 'force': 21.0},
+        {'gesture': 'press', 'force': float('nan')},
+        {'gesture': 'load', 'object': 'hemisphere'},
+        {'gesture': 'drop', 'object': 'hemisphere'},
+        {'gesture': 'vibrate', 'amplitude': 0.5, 'depth': 0.2},
     ],
 )
-def test_what_cannot_be_done_is_refused_and_changes_nothing(sensor, control, gesture, changes):
-    with pytest.raises(SimulationError):
-        control.gestures[gesture](replace(P, **changes))
+def test_what_cannot_be_done_is_refused_and_changes_nothing(sensor, control, request_):
+    with pytest.raises(MixtacError):
+        control.touch(**request_)
     assert sensor.profile.end_us() is None
 
 
 def test_a_scenario_goes_on_until_the_next_begins(sensor, control):
-    control.press(replace(P, press_force=0.5, hold_seconds=0.0))
+    control.touch(gesture='press', force=0.5, hold=0.0)
     sensor.commands(1_000_000)
-    control.press(replace(P, press_force=0.2, hold_seconds=0.0))
+    control.touch(gesture='press', force=0.2, hold=0.0)
     modes, targets = sensor.commands(1_000_000 + AHEAD_US)
     assert (modes == Mode.FORCE).all()
     assert np.allclose(targets, 0.5)
@@ -209,7 +207,7 @@ def test_a_scenario_goes_on_until_the_next_begins(sensor, control):
 
 def test_memory_of_past_scenarios_is_bounded(sensor, control):
     for _ in range(500):
-        control.follow(P, 0.3)
+        control.follow(0.3)
         sensor.commands(sensor.now_us + 1000)
     assert len(sensor.profile._plays) < 12
 

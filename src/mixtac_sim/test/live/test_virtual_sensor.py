@@ -4,27 +4,29 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import struct
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Event
 
 import numpy as np
 import pytest
 
-from mixtac_driver.davis346.model import Geometry
-from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
-from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.live.virtual_sensor import SimulationClock, VirtualSensor
+from mixtac_sim.live import touch
+from mixtac_sim.live.virtual_sensor import SimulationClock, SimulationProcess, VirtualSensor
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, Indenter
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.world.effects import EASY
 from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
-from mixtac_sim.world.segments import Profile, Segment
-from mixtac_sim.world.sensor import TRUTH_DTYPE
+from mixtac_sim.world.segments import LiveProfile, Profile, Segment
+from mixtac_sim.world.sensor import TRUTH_DTYPE, SensorOutput, TactileSensor
 
 PATIENCE_S = 60.0
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -98,13 +100,12 @@ def clock(host):
     return SimulationClock(host, lambda: EPOCH_NS)
 
 
-def make_sensor(simulation, clock, *, patient=False, skips=False):
+def make_sensor(simulation, clock):
     device = VirtualDavis346('V0000001', clock=clock.now_us)
     for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2)):
         device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
     device.control(0x40, 0xBF, 9, 1, struct.pack('>I', 0))
-    parts = (simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
-    return VirtualSensor(*parts, patient=patient, skips=skips)
+    return VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
 
 
 @pytest.fixture
@@ -148,79 +149,25 @@ def test_everything_goes_out_when_its_time_has_come(sensor, simulation, host):
     assert sensor.take_truth() == []
 
 
-def test_a_short_stall_is_caught_up_and_a_long_one_counted(sensor, host):
+def test_time_stops_while_the_host_is_behind_and_goes_on_where_it_stood(sensor, host):
     run_for(sensor, host, 0.1)
     words(sensor.device)
-    run_for(sensor, host, 0.2, period=0.2)
-    assert sensor.state().overruns == 0
-    assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 200
+    sensor.take_truth()
     run_for(sensor, host, 5.0, period=5.0)
     state = sensor.state()
     assert state.overruns == 1
-    assert 4_500_000 < state.lost_us < 5_000_000
-    # Time goes on where it stood, and host stamps take the loss into account.
-    sensor.take_truth()
-    run_for(sensor, host, 0.1)
-    stamps = np.concatenate([batch.t_ns for batch in sensor.take_truth()])
-    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
-    assert abs(stamps[0] - EPOCH_NS - 5_300_000_000) < 10_000_000
-
-
-def times_us(stream):
-    batches = StreamDecoder(Geometry()).push(stream.tobytes())
-    return np.concatenate([batch.events.t.copy() for batch in batches])
-
-
-def test_a_sensor_that_skips_stays_on_the_clock_of_the_host(simulation, clock, host):
-    sensor = make_sensor(simulation, clock, skips=True)
-    sensor.step()
-    clock.start()
-    run_for(sensor, host, 0.1)
-    run_for(sensor, host, 5.0, period=5.0)
-    sensor.take_truth()
-    sensor.take_reference()
-    run_for(sensor, host, 0.1)
-    state = sensor.state()
-    assert state.overruns == 1
-    assert 4_500_000 < state.lost_us <= 5_000_000
-    assert state.behind_us == 0
-    assert state.lost_us % 10_000 == 0
-    now_ns = EPOCH_NS + host.ns - 5_000
-    assert 0 <= now_ns - sensor.time_ns() < 40_000_000
-    # Stamps of the truth and, on its own clock, of the reference.
-    truth, reference = sensor.take_truth(), sensor.take_reference()
-    for batches, late_ns in ((truth, 0), (reference, 86_400_000_000_000)):
-        stamps = np.concatenate([batch.t_ns for batch in batches])
-        assert np.unique(np.diff(stamps)).tolist() == [1_000_000]
-        assert 0 <= now_ns - (stamps[-1] - late_ns) < 40_000_000
-    # Events: every millisecond, but for one gap, and with none lost.
-    t_us = times_us(words(sensor.device))
-    assert 0 <= (now_ns - EPOCH_NS) // 1000 - t_us[-1] < 40_000
-    steps = np.diff(t_us)
-    assert np.count_nonzero(steps != 1000) == 1
-    assert steps.max() == 1000 + state.lost_us
-    assert not any(sensor.device.losses.values())
-
-
-def test_a_patient_sensor_stops_time_in_place_of_catching_up(simulation, clock, host):
-    sensor = make_sensor(simulation, clock, patient=True)
-    sensor.step()
-    clock.start()
-    run_for(sensor, host, 0.1)
-    words(sensor.device)
-    run_for(sensor, host, 0.2, period=0.2)
-    assert sensor.state().overruns == 1
-    assert sensor.state().lost_us == 200_000
+    assert state.lost_us == 5_000_000
     assert len(words(sensor.device)) == 0
     run_for(sensor, host, 0.1)
     assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 100
+    # Host stamps of the truth take the loss into account.
+    stamps = np.concatenate([batch.t_ns for batch in sensor.take_truth()])
+    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
+    assert abs(stamps[0] - EPOCH_NS - 5_100_000_000) < 10_000_000
+    assert sensor.time_ns() == EPOCH_NS + 200_000_000
 
 
-def test_a_patient_sensor_waits_for_its_reader_and_loses_nothing(simulation, clock, host):
-    sensor = make_sensor(simulation, clock, patient=True)
-    sensor.step()
-    clock.start()
-    # The buffer of a host that does not read.
+def test_time_stops_while_nobody_reads_the_camera_and_nothing_is_lost(sensor, host):
     while sensor.device.backlog <= 1 << 19:
         assert sensor.device.feed(np.zeros(1 << 16, np.uint16))
     run_for(sensor, host, 2.0)
@@ -303,32 +250,6 @@ def test_inertial_unit_keeps_its_rate_through_any_cut():
     assert [r.t_us for r in late] == [int(cuts[-1]) + 500_000, int(cuts[-1]) + 502_000]
 
 
-def test_threaded_loop_starts_and_closes():
-    clock = SimulationClock()
-    device = VirtualDavis346('V0000001', clock=clock.now_us)
-    simulation = OneEventPerMillisecond()
-    sensor = VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
-    sensor.start()
-    batches = []
-    while len(batches) < 5:
-        batches += sensor.take_truth()
-    sensor.close()
-    until = simulation.until
-    assert sensor.state().simulated_us == until
-    assert batches[0].wrench.shape[1] == 6
-
-
-def test_device_clocks_stand_still_with_simulated_time():
-    now_ns = [0]
-    clock = SimulationClock(lambda: now_ns[0], lambda: 5_000_000_000 + now_ns[0])
-    clock.start()
-    started = clock.start_epoch_ns
-    now_ns[0] = 2_000_000_000
-    clock.lose(250_000)
-    assert clock.now_us() == 1_750_000
-    assert clock.start_epoch_ns == started == 5_000_000_000
-
-
 class Blocking(OneEventPerMillisecond):
     """Takes for ever to compute what comes after a time, until it is released."""
 
@@ -358,72 +279,50 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
     start_us = sensor.play(Profile('scenario', 1.0, ()), lead_us=600_000)
     assert 600_000 <= start_us < 650_000
     wait_for(lambda: sensor.state().ahead_us >= 600_000)
-    host.ns += 250_000_000
-    # The simulation is stuck 0.55 s ahead, at 0.8 s.
     wait_for(lambda: simulation.until >= 800_000)
-    got = []
-    for _ in range(4):
-        host.ns += 100_000_000
+    # The simulation is stuck at 0.8 s.
+    for _ in range(65):
+        host.ns += 10_000_000
         wait_for(lambda: sensor.state().late_us == 0)
-        got.append(words(sensor.device))
-    assert np.count_nonzero(np.concatenate(got) >> 12 == 3) == 650
+    assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 650
     assert sensor.state().overruns == 0
     simulation.released.set()
-    # Two seconds after the scenario nothing is known in advance.
-    for _ in range(40):
-        host.ns += 100_000_000
-        wait_for(lambda: sensor.state().late_us == 0)
-    assert sensor.state().ahead_us < 50_000
     sensor.close()
 
 
-def test_a_patient_sensor_lets_no_time_pass_before_a_scenario_is_known(host, clock):
-    simulation = Blocking(800_000)
-    sensor = make_sensor(simulation, clock, patient=True)
-    sensor.start()
-    before = sensor.state()
-    start_us = sensor.play(Profile('scenario', 5.0, ()), lead_us=600_000)
-    wait_for(lambda: simulation.until >= 800_000)
-    for _ in range(300):
-        host.ns += 1_000_000
-        wait_for(lambda: sensor.state().late_us < 3_000)
-    assert sensor.state().computing
-    assert clock.now_us() < 100_000
-    # The scenario cannot be known before it is computed: no fault of the host.
-    assert sensor.state().overruns == before.overruns
-    simulation.released.set()
-    wait_for(lambda: not sensor.state().computing)
-    assert sensor.state().simulated_us >= start_us + 5_000_000
-    at_us = clock.now_us()
-    host.ns += 1_000_000
-    wait_for(lambda: clock.now_us() == at_us + 1_000)
-    sensor.close()
+STRETCH_US = 20_000
 
 
-def test_a_gesture_ends_the_wait_for_a_scenario(host, clock):
-    simulation = Blocking(800_000)
-    sensor = make_sensor(simulation, clock, patient=True)
-    sensor.start()
-    sensor.play(Profile('scenario', 5.0, ()), lead_us=600_000)
-    wait_for(lambda: sensor.state().computing)
-    sensor.play(Profile('gesture', 1.0, ()))
-    simulation.released.set()
-    wait_for(lambda: not sensor.state().computing)
-    assert sensor.state().simulated_us < 5_000_000
-    sensor.close()
+def run(simulation, profile):
+    """Return 0.2 s with a press and settings that change on the way."""
+    parts = [simulation.advance(STRETCH_US)]
+    profile.play(touch.press(HEMISPHERE, 0.5, 1.0), 2 * STRETCH_US)
+    simulation.configure_aps(ApsSettings(3000, 30_000, 30_000))
+    simulation.configure_pixels(replace(PixelSettings(), threshold_on=0.4))
+    parts += [simulation.advance(n * STRETCH_US) for n in range(2, 11)]
+    return SensorOutput.join(parts)
 
 
-def test_nothing_is_lost_of_what_is_computed_far_ahead(host, clock, simulation):
-    sensor = make_sensor(simulation, clock)
-    sensor.start()
-    sensor.play(Profile('scenario', 5.0, ()), lead_us=25_000_000)
-    wait_for(lambda: sensor.state().ahead_us > 29_000_000)
-    got = []
-    for _ in range(125):
-        host.ns += 200_000_000
-        wait_for(lambda: sensor.state().late_us == 0)
-        got.append(words(sensor.device))
-    sensor.close()
-    data = np.concatenate(got)
-    assert np.count_nonzero(data >> 12 == 3) == 25_000
-    assert np.count_nonzero(data == 5) == 25_000
+def test_a_simulation_process_does_what_a_sensor_in_this_process_does():
+    process, profile, mine = SimulationProcess(), LiveProfile(), LiveProfile()
+    process.begin(3, 5, profile, preset=EASY)
+    found = run(process, profile)
+    expected = run(TactileSensor(3, 5, mine, preset=EASY), mine)
+    assert found.truth['fz'].max() > 0.1
+    assert len(found.frames) == len(expected.frames) > 2
+    for name in ('t', 'x', 'y', 'polarity'):
+        assert np.array_equal(getattr(found.events, name), getattr(expected.events, name))
+    assert np.array_equal(found.truth, expected.truth)
+    assert np.array_equal(found.wrench, expected.wrench)
+
+
+def test_the_end_of_the_simulation_process_is_an_error():
+    others = set(multiprocessing.active_children())
+    process = SimulationProcess()
+    process.begin(3, 5, LiveProfile(), preset=EASY)
+    process.advance(STRETCH_US)
+    (child,) = set(multiprocessing.active_children()) - others
+    child.kill()
+    child.join()
+    with pytest.raises(SimulationError):
+        process.advance(2 * STRETCH_US)

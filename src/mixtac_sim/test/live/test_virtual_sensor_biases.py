@@ -7,11 +7,11 @@ import struct
 import numpy as np
 import pytest
 
-from mixtac_sim.live.touch import LiveProfile
 from mixtac_sim.live.virtual_sensor import SimulationClock, VirtualSensor
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, OFF, ON, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.segments import LiveProfile
 from mixtac_sim.world.sensor import TactileSensor
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode, PronySeries
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, WEIGHT_20_G, Layer, force_law
 
 STEP_S = 1e-6 * STEP_US
 DAMPED = PronySeries((0.3, 0.3, 0.04), (0.5e-3, 3e-3, 0.1))

@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode, PronySeries
-from mixtac_sim.mechanics.elastomer import force_law
-from mixtac_sim.mechanics.indenters import WEIGHT_20_G
+from mixtac_sim.mechanics.elastomer import WEIGHT_20_G, force_law
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
 

@@ -7,8 +7,7 @@ import pytest
 
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, Mode, PronySeries
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, Layer, force_law
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
 

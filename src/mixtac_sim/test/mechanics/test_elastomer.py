@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE, Indenter
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, Indenter, Layer, force_law
 from mixtac_sim.mechanics.layer import punch_factor, surface_mobility
 
 # Flat punch on a bonded incompressible layer: Hayes et al. 1972 give 1.281, 3.609 and 9.069 for

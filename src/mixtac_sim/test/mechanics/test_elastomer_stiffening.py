@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.mechanics.contact import Contact, Mode
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, WEIGHT_20_G, Layer, force_law
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
 

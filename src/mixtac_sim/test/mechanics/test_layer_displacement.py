@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, Layer, force_law
 from mixtac_sim.mechanics.layer import displacement_field
 
 # 1 N, E = 200 kPa, h = 5 mm: depth below the skin, displacement inwards on the axis, largest

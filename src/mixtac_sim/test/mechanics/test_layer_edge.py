@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.mechanics import layer as edge_contact
-from mixtac_sim.mechanics.elastomer import Layer, force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, Indenter
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, INDENTERS, Layer, force_law
 from mixtac_sim.mechanics.layer import solve_edge
 from mixtac_sim.world.device import draw_device
 
@@ -17,7 +16,7 @@ THICKNESS = 4.25
 
 @pytest.fixture(scope='module')
 def contact():
-    return solve_edge(EDGE, THICKNESS)
+    return solve_edge(EDGE.radius_mm, EDGE.length_mm, THICKNESS)
 
 
 @pytest.mark.parametrize('depth', [0.2, 0.4, 0.6])
@@ -25,9 +24,9 @@ def test_sphere_on_the_grid_is_the_one_of_the_integral_equation(depth, monkeypat
     # A ball has a solution by a dual integral equation, which knows no grid.
     rows, columns = np.mgrid[0:240, 0:96]
     gap = (np.square(0.1 * (rows - 120)) + np.square(0.25 * (columns - 48))) / 18.0
-    monkeypatch.setattr(edge_contact, '_gap', lambda _: gap)
+    monkeypatch.setattr(edge_contact, '_gap', lambda *_: gap)
     monkeypatch.setattr(edge_contact, 'DEEPEST', depth / 5.0)
-    found = solve_edge.__wrapped__(EDGE, 5.0)
+    found = solve_edge.__wrapped__(EDGE.radius_mm, EDGE.length_mm, 5.0)
     law = force_law(Layer(200.0, 5.0), HEMISPHERE)
     force = law.force_at(depth)
     assert 200.0 * found.force_n[-1] == pytest.approx(force, rel=0.03)
@@ -36,8 +35,7 @@ def test_sphere_on_the_grid_is_the_one_of_the_integral_equation(depth, monkeypat
 
 def test_long_edge_on_a_thick_layer_presses_as_hertz_says():
     # Half width of a Hertzian line contact, and the peak pressure 2 F / (pi a L).
-    edge = Indenter('edge', 1.0, length_mm=12.0)
-    found = solve_edge(edge, 12.0)
+    found = solve_edge(1.0, 12.0, 12.0)
     row = int(np.searchsorted(found.depth_mm, 0.3))
     per_mm = 1e3 * found.force_n[row] / 12.0  # kPa mm at 1 kPa
     half_width = np.sqrt(4.0 * per_mm * 1.0 / (np.pi * 4.0 / 3.0))

@@ -5,9 +5,8 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.mechanics.elastomer import force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE
-from mixtac_sim.optics.lens import Lens
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, force_law
+from mixtac_sim.optics.scene import Lens
 from mixtac_sim.world.device import draw_device
 
 LENS = Lens(2.8, 2.0, 15.0, 1e-6, 0.0, 0.0, 0.0, (173.0, 130.0))

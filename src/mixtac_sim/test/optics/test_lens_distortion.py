@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.mechanics.elastomer import force_law
-from mixtac_sim.mechanics.indenters import HEMISPHERE
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, force_law
 from mixtac_sim.optics.renderer import ONE
 from mixtac_sim.optics.scene import Scene
 from mixtac_sim.pixels.biases import PixelSettings

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, TILES, WIDTH
-from mixtac_sim.optics.lens import Lens
 from mixtac_sim.optics.renderer import LEVELS_MM, MeshMotion
-from mixtac_sim.optics.scene import Lighting, build_sagging, build_scene
+from mixtac_sim.optics.scene import Lens, Lighting, build_sagging, build_scene
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.world.device import draw_device

@@ -49,7 +49,7 @@ def test_known_settings_give_the_known_constants():
 
 def test_default_registers_are_those_of_the_driver():
     biases = pytest.importorskip('mixtac_driver.davis346.biases')
-    wire = {address: bias.encode() for address, bias in biases.DEFAULT_BIASES.values()}
+    wire = {bias.address: bias.encode(None) for bias in biases.DEFAULT_BIASES.values()}
     assert {address: wire[address] for address in DEFAULT_REGISTERS} == dict(DEFAULT_REGISTERS)
 
 

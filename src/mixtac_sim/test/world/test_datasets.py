@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.datasets import DATASETS, plan_dataset, plan_profile, split_groups
+from mixtac_sim.world.plans import DATASETS, plan_dataset, plan_profile, split_groups
 from mixtac_sim.world.profiles import make_profile
 
 

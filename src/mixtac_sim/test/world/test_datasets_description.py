@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
-from mixtac_sim.world.datasets import describe, plan_dataset
+from mixtac_sim.world.plans import describe, plan_dataset
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from mixtac_recordings.dataset import TrialSpec
-from mixtac_sim.world import training_trials
+from mixtac_sim.world import plans
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.training_trials import session_plan
+from mixtac_sim.world.plans import session_plan
 from mixtac_sim.world.trial import TrialStream, simulate_trial
 
 
@@ -62,4 +62,4 @@ def test_a_session_is_split_by_trial_and_at_random():
     assert session_plan(counts, 3) == (trained, tested)
     others = {spec.trial_seed for seed in range(20) for spec in session_plan(counts, seed)[1]}
     assert len({seed % 1000 for seed in others}) > len(tested)
-    assert len({training_trials.stiffness(spec) for spec in every}) == 1
+    assert len({plans.stiffness(spec) for spec in every}) == 1

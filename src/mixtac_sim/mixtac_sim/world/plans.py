@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of the simulated trials for training and evaluation, and their simulation.
+"""Plans of simulated trials: for training and evaluation, and the named data sets.
 
-Device and trial seeds of training and evaluation never overlap; those of data sets
-(`mixtac_sim.world.datasets`) begin beyond both.
+Device and trial seeds of training and evaluation never overlap; those of data sets begin beyond
+both. Data sets are split into training and test 8:2, by whole trials or whole sensors, never by
+sample. A digest of the simulator's source distinguishes data sets of different simulators.
 """
 
 from __future__ import annotations
@@ -11,11 +12,20 @@ from __future__ import annotations
 import functools
 import hashlib
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
+from typing import Final
+from zlib import crc32
 
 import numpy as np
 
-from mixtac_sim.world.trial import Trial
+from mixtac_recordings import dataset
+from mixtac_sim import SimulationError
+from mixtac_sim.grids import stream
+from mixtac_sim.world.device import draw_conditions, draw_device
+from mixtac_sim.world.effects import preset as named_preset
+from mixtac_sim.world.profiles import PROFILES
+from mixtac_sim.world.trial import Trial, simulate_trial
 
 TRAINING_PROFILES = (
     'dynamic',
@@ -179,10 +189,7 @@ def unseen_devices(count: int, seed: int) -> list[int]:
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
-    from mixtac_sim.world.effects import preset
-    from mixtac_sim.world.trial import simulate_trial
-
-    chosen = preset(spec.preset)
+    chosen = named_preset(spec.preset)
     if spec.without:
         chosen = chosen.without(spec.without)
     seeds = (spec.device_seed, spec.trial_seed)
@@ -201,10 +208,7 @@ def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
     Returns:
         Modulus of sensor and day over the usual modulus of all sensors, or of this one.
     """
-    from mixtac_sim.world.device import draw_conditions, draw_device
-    from mixtac_sim.world.effects import preset
-
-    chosen = preset(spec.preset)
+    chosen = named_preset(spec.preset)
     day = draw_conditions(
         spec.trial_seed if spec.session is None else spec.session, chosen
     ).stiffness
@@ -217,7 +221,7 @@ def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
 
 _MAKES_TRIALS = ('mechanics', 'optics', 'pixels', 'world', 'bags')
 """Folders of the simulator on which trials and their bags depend."""
-_ALSO = ('grids.py', 'random_streams.py', 'usb/words.py', 'usb/stream.py', 'world/presets.yaml')
+_ALSO = ('grids.py', 'usb/words.py', 'usb/stream.py', 'world/presets.yaml')
 """Further files on which they depend."""
 
 
@@ -235,3 +239,157 @@ def simulator_digest() -> str:
     for path in sorted(files):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+DATASET_PRESET: Final = 'paper_like'
+"""Default preset of named data sets."""
+TRAIN_SHARE: Final = 0.8
+"""Share of training in the paper's split (section 4.4)."""
+
+
+def split_groups(count: int, seed: int) -> list[str]:
+    """Return `train` or `test` for each of some groups, the same for the same arguments.
+
+    Each side gets at least one group where there are two or more; a single one trains.
+
+    Args:
+        count: Groups: trials, or sensors with all of their trials.
+        seed: Seed of the data set.
+    """
+    tests = round((1.0 - TRAIN_SHARE) * count)
+    tests = max(tests, 1) if count > 1 else 0
+    drawn = set(stream(seed, 'split').permutation(count)[:tests].tolist())
+    return ['test' if group in drawn else 'train' for group in range(count)]
+
+
+def describe(
+    name: str, seed: int, preset: str, split_by: str, trials: list[dataset.TrialSpec]
+) -> dataset.DatasetDescription:
+    """Return the description of trials that this simulator is about to make."""
+    try:
+        version = metadata.version('mixtac_sim')
+    except metadata.PackageNotFoundError:
+        version = 'unknown'
+    generator = {'package': 'mixtac_sim', 'version': version, 'digest': simulator_digest()}
+    return dataset.DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)
+
+
+SEEDS_PER_DATASET: Final = 1_000
+"""Trials and sensors of one data set and seed have seeds of their own, so many of each."""
+FIRST_SEED: Final = 1_000_000
+"""Data sets begin here, beyond the seeds that the shipped model was trained and judged with."""
+DATASET_SEEDS: Final = 900
+"""Seeds of a data set: 0 to 899. Device seeds stay below 10,000,000, the camera's serial number."""
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetPlan:
+    """Content of a named data set.
+
+    Attributes:
+        profiles: Force profiles, in turn for the trials of a sensor.
+        trials: Number of trials.
+        seconds: Length of each trial [s].
+        devices: Number of different sensors; trials go round them.
+    """
+
+    profiles: tuple[str, ...]
+    trials: int = 30
+    seconds: float = 25.0
+    devices: int = 1
+
+    @property
+    def split_by(self) -> str:
+        """Return what goes to training or test as a whole: `trial` or `device`."""
+        return 'device' if self.devices > 1 else 'trial'
+
+
+DATASETS: Final = {
+    # Slow presses of 0 to 1 N, held (paper, section 4.4: 30 trials of 25 s).
+    'static': DatasetPlan(('static',)),
+    # One hold over the whole trial, for drift (paper, section 4.2: 25 s).
+    'long_term': DatasetPlan(('long_term',), trials=10),
+    # Forces of 0 to 1 N at all paces; number and length as in static.
+    'dynamic': DatasetPlan(('dynamic',)),
+    # 20 g from 5 cm, one drop per trial, with bounces and rest (paper, section 4.5: 30 drops).
+    'impact': DatasetPlan(('impact',), seconds=4.25),
+    # Vibrations of 50 to 250 Hz on a press (paper, section 4.1, without the number of its trials).
+    'vibration': DatasetPlan(('vibration',), seconds=10.0),
+    # Ten sensors with gel, mesh, beads, lens, lamp and pixels of their own, three trials each; the
+    # test sensors are never trained on.
+    'new_gel': DatasetPlan(('dynamic', 'static', 'impact'), devices=10),
+}
+"""Data sets by name."""
+
+
+def plan_dataset(name: str, seed: int = 0, preset: str = DATASET_PRESET) -> list[dataset.TrialSpec]:
+    """Return the trials of a named data set.
+
+    Args:
+        name: One of `DATASETS`.
+        seed: Another seed gives other sensors and other days; 0 to 899.
+        preset: Difficulty preset of the sensors.
+
+    Raises:
+        SimulationError: Unknown name, or seed out of range.
+    """
+    if name not in DATASETS:
+        raise SimulationError(f'data set {name!r} is unknown: choose one of {", ".join(DATASETS)}')
+    return plan_trials(DATASETS[name], list(DATASETS).index(name), seed, preset)
+
+
+def plan_profile(
+    profile: str, trials: int, seconds: float, seed: int = 0, preset: str = DATASET_PRESET
+) -> list[dataset.TrialSpec]:
+    """Return trials of one profile on one sensor, split by trial.
+
+    Args:
+        profile: One of `mixtac_sim.world.profiles.PROFILES`.
+        trials: Number of trials.
+        seconds: Length of each trial [s].
+        seed: Another seed gives another sensor and other days; 0 to 899.
+        preset: Difficulty preset of the sensors.
+
+    Raises:
+        SimulationError: Unknown profile, or a number out of range.
+    """
+    if profile not in PROFILES:
+        known = ', '.join(sorted(PROFILES))
+        raise SimulationError(f'profile {profile!r} is unknown: choose one of {known}')
+    plan = DatasetPlan((profile,), trials=trials, seconds=seconds)
+    # By the name alone: profiles that are added later do not move the seeds.
+    return plan_trials(plan, len(DATASETS) + crc32(profile.encode()) % 10_000, seed, preset)
+
+
+def plan_trials(plan: DatasetPlan, family: int, seed: int, preset: str) -> list[dataset.TrialSpec]:
+    """Return the trials of a plan.
+
+    Args:
+        plan: Content of the data set.
+        family: Keeps the trial seeds of different data sets apart.
+        seed: Seed of the data set.
+        preset: Difficulty preset of the sensors.
+
+    Raises:
+        SimulationError: A number is out of range.
+    """
+    if not 1 <= plan.trials <= SEEDS_PER_DATASET:
+        raise SimulationError(f'{plan.trials} trials: 1 to {SEEDS_PER_DATASET} are possible')
+    if not 0 <= seed < DATASET_SEEDS:
+        raise SimulationError(f'seed {seed}: 0 to {DATASET_SEEDS - 1} are possible')
+    first_device = FIRST_SEED + SEEDS_PER_DATASET * seed
+    first_trial = FIRST_SEED * (1 + family) + SEEDS_PER_DATASET * seed
+    by_device = plan.split_by == 'device'
+    groups = split_groups(plan.devices if by_device else plan.trials, first_trial)
+    return [
+        dataset.TrialSpec(
+            name=f'trial_{index:03d}',
+            profile=plan.profiles[index // plan.devices % len(plan.profiles)],
+            seconds=plan.seconds,
+            device_seed=first_device + index % plan.devices,
+            trial_seed=first_trial + index,
+            preset=preset,
+            split=groups[index % plan.devices if by_device else index],
+        )
+        for index in range(plan.trials)
+    ]
