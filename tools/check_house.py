@@ -75,7 +75,7 @@ CEILINGS = {
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
     'mixtac_fger': 5579,
-    'mixtac_sim': 7890,
+    'mixtac_sim': 7910,
     'mixtac_slip_control': 2334,
     'mixtac': 445,
     'mixtac_learning': 4285,
