@@ -188,8 +188,10 @@ class MessageSink:
 
 MPU9250: Final = 2
 SIZE: Final = (WIDTH, HEIGHT)
-_ANGULAR, _LINEAR = slice(13, 16), slice(25, 28)
-"""Places of the two vectors in the doubles of `sensor_msgs/msg/Imu`."""
+_ANGULAR: Final = slice(13, 16)
+"""Places of the angular velocity in the doubles of `sensor_msgs/msg/Imu`."""
+_LINEAR: Final = slice(25, 28)
+"""Places of the linear acceleration there."""
 
 
 def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events, Floats
 from mixtac_sim import SimulationError
-from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
+from mixtac_sim.grasp.objects import OBJECTS, GraspSetup, ObjectMotion
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US, stream
 from mixtac_sim.mechanics.contact import GRAVITY, ContactPath
@@ -34,7 +34,7 @@ FALL_SUBSTEPS = 8
 @njit(cache=True, nogil=True, error_model='numpy')
 def advance_object(
     body: Floats,
-    constants: tuple[float, float, float, float, float, float, float],
+    motion: ObjectMotion,
     skin: Patches,
     normal_n: Floats,
     path: Floats,
@@ -44,14 +44,13 @@ def advance_object(
 
     Args:
         body: Time [s], place [mm] and speed [mm/s] of the object, downwards; changed.
-        constants: Mass [kg], weight [N], static and kinetic friction of the wall, start [s],
-            length [s] and speed [mm/s] of the impact.
+        motion: What moves and holds the object.
         skin: As in ``slide``; changed.
         normal_n: Normal force over each grid step [n] [N].
         path: Place [mm], speed [mm/s] and pull of the skin [N] at the end of each step [n, 3].
         patches: Shear of the patches at the end of each step [n, patch] [mm].
     """
-    mass, weight, static, kinetic, knock_s, pulse_s, knock_mm_s = constants
+    mass, weight, static, kinetic, knock_s, pulse_s, knock_mm_s = motion
     grid_s = 1e-6 * STEP_US
     for k in range(normal_n.size):
         pull = 0.0
@@ -126,11 +125,11 @@ def creep_mm(setup: GraspSetup, skin: Skin, normal_n: Floats) -> list[float]:
         normal_n: Normal force over each step of 125 us [n] [N].
     """
     body, places = np.zeros(3), [0.0]
-    constants = (*setup.constants()[:4], np.inf, 1.0, 0.0)
+    motion = setup.motion()._replace(knock_s=np.inf, pulse_s=1.0, knock_mm_s=0.0)
     for first in range(0, len(normal_n), HOLD_STEPS):
         part = normal_n[first : first + HOLD_STEPS]
         path, patches = np.empty((len(part), 3)), np.empty((len(part), len(skin.shear_mm)))
-        advance_object(body, constants, skin.patches(), part, path, patches)
+        advance_object(body, motion, skin.patches(), part, path, patches)
         places.append(float(body[1]))
         if places[-1] > FALLEN_MM:
             break
@@ -254,7 +253,7 @@ class Grasp:
         self._skin, _ = hold(setup, self._press, self.grasp_n, surface)
         self._held = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
         self._body = np.zeros(3)
-        self._fixed = setup.constants()
+        self._motion = setup.motion()
         self.camera: SkinCamera | None = None
         self._day = (device, conditions, preset)
         if camera:
@@ -268,7 +267,9 @@ class Grasp:
         Args:
             speed_mm_s: Speed that the impact gives the object [mm/s].
         """
-        self._fixed = (*self._fixed[:4], float(self._body[0]), self._fixed[5], speed_mm_s)
+        self._motion = self._motion._replace(
+            knock_s=float(self._body[0]), knock_mm_s=float(speed_mm_s)
+        )
 
     def weigh(self, mass_g: float) -> None:
         """Let the object have another mass from the next step on, as when something is put in.
@@ -277,7 +278,7 @@ class Grasp:
             mass_g: Its mass [g].
         """
         mass_kg = 1e-3 * mass_g
-        self._fixed = (mass_kg, mass_kg * GRAVITY, *self._fixed[2:])
+        self._motion = self._motion._replace(mass_kg=mass_kg, weight_n=mass_kg * GRAVITY)
 
     def put_back(self) -> None:
         """Put the object back to where it was held; the fingertip stays where it is."""
@@ -332,7 +333,7 @@ class Grasp:
         normal = contact.force_n
         count = len(normal)
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
-        advance_object(self._body, self._fixed, self._skin.patches(), normal, path, patches)
+        advance_object(self._body, self._motion, self._skin.patches(), normal, path, patches)
         return self._seen(contact, path, patches)
 
     def _seen(self, contact: ContactPath, path: Floats, patches: Floats) -> GraspBlock:

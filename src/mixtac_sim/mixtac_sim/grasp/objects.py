@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -107,6 +107,28 @@ WALL_KINETIC = 0.9
 """Kinetic over static friction on the wall (estimate)."""
 
 
+class ObjectMotion(NamedTuple):
+    """What moves and holds an object, for compiled code.
+
+    Attributes:
+        mass_kg: Mass [kg].
+        weight_n: Weight [N].
+        static_mu: Static friction of the wall.
+        kinetic_mu: Kinetic friction of the wall.
+        knock_s: Start of the impact [s].
+        pulse_s: Duration of the impact [s], a half sine.
+        knock_mm_s: Speed that the impact gives the object [mm/s].
+    """
+
+    mass_kg: float
+    weight_n: float
+    static_mu: float
+    kinetic_mu: float
+    knock_s: float
+    pulse_s: float
+    knock_mm_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class GraspSetup:
     """One object in one grasp, and the impact on it.
@@ -150,16 +172,16 @@ class GraspSetup:
         """Return the object's weight [N]."""
         return 1e-3 * self.mass_g * GRAVITY
 
-    def constants(self) -> tuple[float, float, float, float, float, float, float]:
-        """Return the constants of ``advance_object``."""
-        return (
-            1e-3 * self.mass_g,
-            self.weight_n,
-            self.wall_mu,
-            WALL_KINETIC * self.wall_mu,
-            self.knock_s,
-            self.pulse_s,
-            self.knock_mm_s,
+    def motion(self) -> ObjectMotion:
+        """Return what moves and holds the object."""
+        return ObjectMotion(
+            mass_kg=1e-3 * self.mass_g,
+            weight_n=self.weight_n,
+            static_mu=self.wall_mu,
+            kinetic_mu=WALL_KINETIC * self.wall_mu,
+            knock_s=self.knock_s,
+            pulse_s=self.pulse_s,
+            knock_mm_s=self.knock_mm_s,
         )
 
     @property

@@ -50,6 +50,26 @@ def patch_places(radius_mm: float) -> Floats:
     return np.concatenate(places)
 
 
+class SkinLaw(NamedTuple):
+    """Friction of the object on the skin, for compiled code.
+
+    Attributes:
+        mu: Coefficient at 1 mm/s in steady sliding.
+        rate: Direct effect per factor e of the slip speed.
+        ageing: Strength gained per factor e of the time at rest.
+        slip_mm: Slip over which a contact renews itself [mm].
+        nodes_per_mm: Nodes of the surface per slipped distance [1/mm].
+        resistance: Resistance of a patch to the speed of the skin [N s/mm].
+    """
+
+    mu: float
+    rate: float
+    ageing: float
+    slip_mm: float
+    nodes_per_mm: float
+    resistance: float
+
+
 class Patches(NamedTuple):
     """What the kernels need of a skin; the first three change.
 
@@ -60,7 +80,7 @@ class Patches(NamedTuple):
         stiffness: Stiffness of the gel under each patch [patch] [N/mm].
         shares: Share of the normal force on each patch [patch].
         surface: Unevenness of the object [patch, NODES].
-        law: mu, rate, ageing, slip distance [mm], nodes per mm, resistance of a patch [N s/mm].
+        law: Friction of the object on the skin.
     """
 
     shear: Floats
@@ -69,7 +89,7 @@ class Patches(NamedTuple):
     stiffness: Floats
     shares: Floats
     surface: Floats
-    law: tuple[float, float, float, float, float, float]
+    law: SkinLaw
 
 
 class Skin:
@@ -126,27 +146,15 @@ class Skin:
         """Return the tangential force on the object [N]."""
         return float(np.dot(self.stiffness, self.shear_mm))
 
-    def drag(
-        self, speeds_mm_s: Floats, normal_n: Floats, step_s: float, substeps: int = 1
-    ) -> Floats:
-        """Move an object over the skin; return the shear of the patches after each step [n, 16].
-
-        Args:
-            speeds_mm_s: Speed of the object over each step [n] [mm/s].
-            normal_n: Normal force over each step [n] [N].
-            step_s: Length of a step [s].
-            substeps: Parts in which a step is computed.
-        """
-        shear = np.empty((len(speeds_mm_s), len(self.shear_mm)))
-        _drag(self.patches(), normal_n, speeds_mm_s, step_s / substeps, substeps, shear)
-        return shear
-
     def patches(self) -> Patches:
         """Return state, gel, surface and friction as the kernel ``slide`` takes them."""
         law = self.friction
         return Patches(
             *(self.shear_mm, self.age_s, self.slid_mm, self.stiffness, self.shares, self.surface),
-            (law.mu, law.rate, law.ageing, law.slip_mm, 3.0 / law.grain_mm, self._resistance),
+            SkinLaw(
+                *(law.mu, law.rate, law.ageing, law.slip_mm),
+                *(3.0 / law.grain_mm, self._resistance),
+            ),
         )
 
 
@@ -237,17 +245,6 @@ def slide(patches: Patches, normal_n: float, speed_mm_s: float, step_s: float) -
             age[i] = max(steady + (age[i] - steady) * np.exp(-decay), 1e-9)
         pull += stiffness[i] * shear[i] + resistance * (speed_mm_s - slip)
     return pull
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _drag(
-    skin: Patches, normal_n: Floats, speeds_mm_s: Floats, part_s: float, parts: int, shear: Floats
-) -> None:
-    """Run several steps; see ``Skin.drag``."""
-    for k in range(speeds_mm_s.size):
-        for _ in range(parts):
-            slide(skin, normal_n[k], speeds_mm_s[k], part_s)
-        shear[k] = skin.shear
 
 
 SETTLE_S = 3.0

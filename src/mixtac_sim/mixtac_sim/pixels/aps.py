@@ -22,7 +22,10 @@ READ_NOISE_DN = 55.0 / ELECTRONS_PER_DN
 """Noise of one reading [DN] (specification: 55 e-)."""
 DARK_DN_PER_MS = 18.0 / ELECTRONS_PER_DN
 """Dark signal [DN/ms] (specification: 18 ke-/s)."""
-_WORD, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_WORD = np.uint64(0xFFFFFFFF)
+"""Lower half of a random number of 64 bits."""
+_HALF = np.uint64(32)
+"""Shift of its upper half [bits]."""
 RESPONSE_SPREAD = 0.02
 """Standard deviation of the pixels' response (specification: 4.2 % FPN, most of it offset)."""
 

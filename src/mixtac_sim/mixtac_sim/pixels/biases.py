@@ -20,8 +20,13 @@ from numpy.typing import NDArray
 
 from mixtac_sim.grids import PADDED, PIXELS, stream
 
-DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY = 10, 11, 12, 14, 15, 16
-"""Addresses of the biases in the register file."""
+DIFF = 10
+"""Address of the bias Diff in the register file, as those below of theirs."""
+ON = 11
+OFF = 12
+PHOTORECEPTOR = 14
+FOLLOWER = 15
+REFRACTORY = 16
 DEFAULT_REGISTERS: Mapping[int, int] = MappingProxyType(
     {DIFF: 17023, ON: 24575, OFF: 16415, PHOTORECEPTOR: 9133, FOLLOWER: 4365, REFRACTORY: 16797}
 )
@@ -34,8 +39,10 @@ CAPACITOR_RATIO = 20.0
 """C1 over C2 (jAER; 24 by the drawn capacitors)."""
 SLOPE_FACTOR = 0.7
 """kappa of both kinds of transistors (jAER)."""
-THERMAL_V, FOLLOWER_F = 25e-3, 131e-15
-"""Thermal voltage [V], capacitor C1 [F] (jAER)."""
+THERMAL_V = 25e-3
+"""Thermal voltage [V] (jAER)."""
+FOLLOWER_F = 131e-15
+"""Capacitor C1 [F] (jAER)."""
 REFRACTORY_C = 20e-15 * 0.8
 """Charge of the refractory capacitor: 20 fF at 0.8 V [C] (jAER)."""
 LEAST_THRESHOLD = 0.01

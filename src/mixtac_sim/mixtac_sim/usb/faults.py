@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """USB errors of the virtual camera, and faults that can be injected to provoke them.
 
-A `Fault` is handed to `mixtac_sim.usb.device.VirtualDavis346.inject`, or from another process to
+Inject a `Fault` by `mixtac_sim.usb.device.VirtualDavis346.inject`, or from another process by
 `mixtac_sim.usb.pyusb_backend.inject`. Real cameras have no such interface.
 """
 
@@ -83,7 +83,6 @@ class FaultKind(str, Enum):
         STALL_DATA: The data endpoint halts until the host clears the halt, ``count`` times.
         STALL_CONTROL: Vendor requests are refused.
         TIMEOUT_CONTROL: Control requests find no answer, except those that a kernel answers.
-        DELAY_CONTROL: Control requests are answered ``delay`` seconds late.
         GARBAGE_REGISTERS: Registers read as random numbers.
         SHORT_READS: Reads return a random number of bytes, odd ones too; the other half of a word
             that was cut is lost.
@@ -103,7 +102,6 @@ class FaultKind(str, Enum):
     STALL_DATA = 'stall_data'
     STALL_CONTROL = 'stall_control'
     TIMEOUT_CONTROL = 'timeout_control'
-    DELAY_CONTROL = 'delay_control'
     GARBAGE_REGISTERS = 'garbage_registers'
     SHORT_READS = 'short_reads'
     DROP_BYTES = 'drop_bytes'
@@ -116,13 +114,7 @@ class FaultKind(str, Enum):
     CLEAR = 'clear'
 
 
-_LARGEST: Final = {
-    'seconds': 1e9,
-    'count': 1e9,
-    'delay': 1e9,
-    'size': 1e9,
-    'seed': 2.0**64,
-}
+_LARGEST: Final = 1e9
 _LONGEST_SERIAL: Final = 8
 
 
@@ -134,7 +126,6 @@ class Fault:
         kind: Kind of the fault.
         seconds: Duration [s]; 0 for no end.
         count: Requests or reads after which it ends; 0 for no end.
-        delay: Delay of answers [s].
         size: Bytes lost or inserted.
         seed: Seed of random values.
         serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`, at most eight
@@ -147,19 +138,18 @@ class Fault:
     kind: FaultKind
     seconds: float = 0.0
     count: int = 0
-    delay: float = 0.0
     size: int = 0
     seed: int = 0
     serial: str = ''
 
     def __post_init__(self) -> None:
         """Refuse what would end the camera."""
-        for name, largest in _LARGEST.items():
+        for name in ('seconds', 'count', 'size', 'seed'):
             value = getattr(self, name)
-            if not 0 <= value <= largest:
+            if not 0 <= value <= _LARGEST:
                 raise FaultError(
                     f'{name} of the fault {self.kind.value} is {value!r}',
-                    remedy=f'give 0 to {largest:g}',
+                    remedy=f'give 0 to {_LARGEST:g}',
                 )
         if len(self.serial) > _LONGEST_SERIAL:
             raise FaultError(
@@ -250,9 +240,6 @@ class FaultInjector:
             return
         if request_type & 0x60 and self._take(FaultKind.STALL_CONTROL):
             raise UsbStall('the request was refused (injected fault)')
-        delayed = self._take(FaultKind.DELAY_CONTROL)
-        if delayed:
-            self._sleep(delayed.delay, limit_s)
         if self._take(FaultKind.TIMEOUT_CONTROL):
             ended_in = self._active[FaultKind.TIMEOUT_CONTROL][1] - time.monotonic()
             self._sleep(ended_in, limit_s)

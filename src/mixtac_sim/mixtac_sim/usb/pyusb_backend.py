@@ -160,11 +160,6 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         with _as_usb_errors():
             return dev_handle.control((0x80, 8, 0, 0), 1, _STANDARD_MS)[0]
 
-    def set_interface_altsetting(self, dev_handle: Link, intf: int, altsetting: int) -> None:
-        """Choose an alternate setting; there is only 0."""
-        with _as_usb_errors():
-            dev_handle.control((0x01, 11, altsetting, intf), b'', _STANDARD_MS)
-
     def claim_interface(self, dev_handle: Link, intf: int) -> None:
         """Claim the interface for this session."""
         with _as_usb_errors():
@@ -215,16 +210,6 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         """Reset the camera to its power-up state."""
         with _as_usb_errors():
             dev_handle.reset()
-
-    def is_kernel_driver_active(self, dev_handle: Link, intf: int) -> bool:
-        """Return false: no kernel knows of this device."""
-        return False
-
-    def detach_kernel_driver(self, dev_handle: Link, intf: int) -> None:
-        """Do nothing: there is no kernel driver."""
-
-    def attach_kernel_driver(self, dev_handle: Link, intf: int) -> None:
-        """Do nothing: there is no kernel driver."""
 
 
 class InProcessLink:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
 import socket
@@ -31,9 +30,8 @@ _MAX_PATH: Final = 100
 class UsbServer:
     """Listens on a socket and answers the USB transfers of hosts.
 
-    The socket has mode 0600: only its owner can use the camera. A file `PATH.lock` beside it shows
-    that a virtual sensor made the socket, and is locked while one serves it. A socket that a dead
-    server left is replaced; any other file or socket at the path is left alone.
+    The socket has mode 0600: only its owner can use the camera. A socket that a dead server left is
+    replaced; any other file or socket at the path is left alone.
 
     Args:
         device: The camera.
@@ -55,9 +53,8 @@ class UsbServer:
         self._threads[0].start()
 
     def _listen(self) -> None:
-        """Make the socket, and take the lock that shows who made it."""
+        """Make the socket."""
         check_free(self.path)
-        self._handle = _take_lock(self.path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             Path(self.path).unlink(missing_ok=True)
@@ -67,9 +64,8 @@ class UsbServer:
             self._listener.listen(_BACKLOG)
         except OSError as error:
             self._listener.close()
-            _release_lock(self.path, self._handle, remove=True)
             raise VirtualUsbError(
-                f'cannot listen on {self.path}: {error.strerror}; choose another socket'
+                f'cannot listen on {self.path}: {error.strerror}', remedy='choose another socket'
             ) from error
 
     def close(self) -> None:
@@ -90,7 +86,6 @@ class UsbServer:
         with contextlib.suppress(OSError):
             if os.lstat(self.path).st_ino == self._inode:
                 Path(self.path).unlink()
-        _release_lock(self.path, self._handle, remove=True)
         for thread in self._threads:
             thread.join(2.0)
 
@@ -107,13 +102,7 @@ class UsbServer:
             thread = threading.Thread(
                 target=self._serve, args=(connection,), name='usb-connection', daemon=True
             )
-            try:
-                thread.start()
-            except RuntimeError:  # no more threads; the host sees a closed connection
-                connection.close()
-                with self._lock:
-                    self._connections.discard(connection)
-                continue
+            thread.start()
             self._threads = [other for other in self._threads if other.is_alive()] + [thread]
 
     def _serve(self, connection: socket.socket) -> None:
@@ -239,72 +228,29 @@ def check_free(path: str) -> None:
     """Refuse a path that cannot be served; call it before a long preparation.
 
     Raises:
-        VirtualUsbError: The path is too long, or another program uses it.
+        VirtualUsbError: The path is too long, or it holds anything but a socket of a program that
+            has ended.
     """
     if len(path.encode()) > _MAX_PATH:
         raise VirtualUsbError(
-            f'the socket path {path} is too long; set XDG_RUNTIME_DIR to a shorter path'
+            f'the socket path {path} is too long', remedy='set XDG_RUNTIME_DIR to a shorter path'
         )
-    handle = _take_lock(path)
-    # Without a socket behind it the lock file shows nothing.
-    _release_lock(path, handle, remove=not os.path.lexists(path))
-
-
-def _lock_path(path: str) -> str:
-    return f'{path}.lock'
-
-
-def _take_lock(path: str) -> int:
-    """Return a descriptor of the locked lock file of a path that is free or held by a dead server.
-
-    Raises:
-        VirtualUsbError: Another program uses the path, or the lock cannot be made.
-    """
-    left_over = os.path.lexists(_lock_path(path)) and not _in_use(path)
-    if os.path.lexists(path) and not left_over:
+    if os.path.lexists(path) and not _is_left_over(path):
         raise VirtualUsbError(
-            f'{path} is in use, or was not made by a virtual sensor',
+            f'{path} is in use, or is no socket',
             remedy='stop the program that uses it, or give the virtual sensor another socket or '
             'ROS_DOMAIN_ID',
         )
-    while True:
-        try:
-            handle = os.open(_lock_path(path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError as error:
-            raise VirtualUsbError(
-                f'cannot listen on {path}: {error.strerror}; choose another socket'
-            ) from error
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Whoever held the lock may have removed the file since it was opened here.
-            if os.fstat(handle).st_ino == Path(_lock_path(path)).stat().st_ino:
-                return handle
-        except BlockingIOError:
-            os.close(handle)
-            raise VirtualUsbError(
-                f'another virtual sensor is about to listen on {path}; '
-                'stop it, or give this one another socket or ROS_DOMAIN_ID'
-            ) from None
-        except FileNotFoundError:
-            pass
-        os.close(handle)
 
 
-def _release_lock(path: str, handle: int, *, remove: bool) -> None:
-    if remove:
-        with contextlib.suppress(OSError):
-            Path(_lock_path(path)).unlink()
-    os.close(handle)
-
-
-def _in_use(path: str) -> bool:
-    """Return whether a path is anything but free or the socket of a program that has ended."""
+def _is_left_over(path: str) -> bool:
+    """Return whether a path is the socket of a program that has ended."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
             probe.connect(path)
-        except (FileNotFoundError, ConnectionRefusedError):
-            return not (Path(path).is_socket() or not os.path.lexists(path))
+        except ConnectionRefusedError:
+            return Path(path).is_socket()
         except OSError:
-            return True
-        return True
+            return False
+        return False

@@ -27,7 +27,12 @@ _ROW_WORD: Final = 0x1000
 _COLUMN_WORD: Final = 0x2000
 _ON: Final = 0x1000
 _MAX_WRAPS: Final = 0xFFF
-_BASE, _LAST, _ROW, _ROW_TIME, _ROWS_SENT = range(5)
+# Places in the state of the encoder.
+_BASE: Final = 0
+_LAST: Final = 1
+_ROW: Final = 2
+_ROW_TIME: Final = 3
+_ROWS_SENT: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

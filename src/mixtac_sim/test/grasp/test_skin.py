@@ -6,15 +6,33 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numba import njit
 from scipy.optimize import brentq
 
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
-from mixtac_sim.grasp.skin import Skin, shear_stiffness, slip_speed, wave_resistance
+from mixtac_sim.grasp.skin import (
+    Patches,
+    Skin,
+    shear_stiffness,
+    slide,
+    slip_speed,
+    wave_resistance,
+)
 from mixtac_sim.mechanics.elastomer import Layer
 
 LAYER = Layer(160.0, 4.0)
 EVEN = Friction(roughness=0.0, slip_mm=0.02)
 STEP_S = 15.625e-6
+
+
+@njit
+def _slide_on(patches: Patches, force: float, speed: float, step: float, count: int) -> None:
+    for _ in range(count):
+        slide(patches, force, speed, step)
+
+
+def _drag(skin: Skin, speed: float, force: float, step: float, count: int) -> None:
+    _slide_on(skin.patches(), force, speed, step, count)
 
 
 def _skin(friction: Friction = EVEN) -> Skin:
@@ -41,7 +59,7 @@ def test_steady_sliding_pulls_with_the_steady_coefficient(speed: float) -> None:
     skin, force = _skin(), 0.8
     skin.rest(0.5, 1.0)
     count = round(60 * EVEN.slip_mm / speed / STEP_S) + 20_000
-    skin.drag(np.full(count, speed), np.full(count, force), STEP_S)
+    _drag(skin, speed, force, STEP_S, count)
     steady = EVEN.mu + (EVEN.rate - EVEN.ageing) * np.log(speed / REFERENCE_MM_S)
     assert skin.pull_n == pytest.approx(steady * force, rel=2e-3)
 
@@ -50,7 +68,7 @@ def test_below_friction_the_gel_is_a_spring() -> None:
     skin = _skin()
     skin.rest(0.0, 10.0)
     # 20 um at 2 mm/s under 2 N: the pull stays far below friction.
-    skin.drag(np.full(640, 2.0), np.full(640, 2.0), STEP_S)
+    _drag(skin, 2.0, 2.0, STEP_S, 640)
     assert skin.pull_n == pytest.approx(shear_stiffness(LAYER, 6.0) * 0.02, rel=1e-3)
     assert skin.slid_mm.max() < 1e-5
 
@@ -70,7 +88,7 @@ def test_a_rested_contact_is_stronger_than_a_sliding_one() -> None:
         skin.rest(0.5, rest_s)
         pulls = []
         for _ in range(300):
-            skin.drag(np.full(8, 10.0), np.full(8, 0.8), STEP_S)
+            _drag(skin, 10.0, 0.8, STEP_S, 8)
             pulls.append(skin.pull_n)
         peak.append(max(pulls))
         steady.append(pulls[-1])
@@ -83,7 +101,6 @@ def test_time_steps_do_not_matter() -> None:
     for cut in (1, 4):
         skin = _skin(Friction(slip_mm=0.01))
         skin.rest(0.5, 3.0)
-        count = 640 * cut
-        skin.drag(np.full(count, 30.0), np.full(count, 0.8), STEP_S / cut)
+        _drag(skin, 30.0, 0.8, STEP_S / cut, 640 * cut)
         ends.append(skin.pull_n)
     assert ends[0] == pytest.approx(ends[1], rel=0.02)

@@ -14,15 +14,12 @@ import numpy as np
 import pytest
 import usb.core
 import usb.util
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import (
     Fault,
     FaultError,
     FaultKind,
-    NoVirtualSensorError,
     UsbGone,
     UsbTimeout,
     VirtualUsbError,
@@ -95,7 +92,7 @@ def test_unplugged_camera_is_gone_and_comes_back_as_after_power_up(camera):
     'values',
     [
         {'kind': FaultKind.STALL_DATA, 'count': -5},
-        {'kind': FaultKind.DELAY_CONTROL, 'delay': float('nan')},
+        {'kind': FaultKind.UNPLUG, 'seconds': float('nan')},
         {'kind': FaultKind.FREEZE, 'seconds': float('inf')},
         {'kind': FaultKind.GARBAGE_WORDS, 'size': -4},
         {'kind': FaultKind.DROP_BYTES, 'seed': -1},
@@ -167,14 +164,6 @@ def test_requests_that_time_out_until_the_camera_answers_again(camera):
     camera.fails(errno.ETIMEDOUT, camera.register, 6, 0)
     assert camera.register(6, 0) == 18
     camera.inject(Fault(FaultKind.TIMEOUT_CONTROL, seconds=0.04))
-    assert camera.register(6, 0) == 18
-
-
-def test_requests_that_are_answered_late(camera):
-    camera.inject(Fault(FaultKind.DELAY_CONTROL, count=2, delay=0.05))
-    before = time.monotonic()
-    assert camera.register(6, 0) == 18
-    assert time.monotonic() - before >= 0.05
     assert camera.register(6, 0) == 18
 
 
@@ -276,17 +265,6 @@ def test_clearing_ends_everything(camera):
     assert camera.read() == DATA
 
 
-def test_other_process_hears_what_is_wrong_with_its_fault(tmp_path, monkeypatch):
-    path = str(tmp_path / 'camera.sock')
-    with pytest.raises(NoVirtualSensorError):
-        inject(path, Fault(FaultKind.UNPLUG))
-    server = UsbServer(VirtualDavis346('V0000042'), path)
-    monkeypatch.setattr(Fault, 'to_json', lambda _self: b'{"kind": "flood"}')
-    with pytest.raises(FaultError):
-        inject(path, Fault(FaultKind.UNPLUG))
-    server.close()
-
-
 @pytest.mark.parametrize(
     'data', [b'', b'[]', b'{}', b'{"kind": "flood"}', b'{"kind":"freeze","x":1}']
 )
@@ -295,14 +273,6 @@ def test_what_is_no_fault_is_refused_with_the_known_kinds(data):
         Fault.from_json(data)
 
 
-@given(
-    st.builds(
-        Fault,
-        st.sampled_from(FaultKind),
-        seconds=st.floats(0, 1e6),
-        count=st.integers(0, 10**6),
-        serial=st.text(max_size=8),
-    )
-)
-def test_faults_travel_as_json(fault):
+def test_faults_travel_as_json():
+    fault = Fault(FaultKind.UNPLUG, seconds=0.5, count=3, size=7, seed=9, serial='V0000099')
     assert Fault.from_json(fault.to_json()) == fault
