@@ -74,7 +74,7 @@ CEILINGS = {
     'mixtac_recordings': 3534,
     'mixtac_alignment': 1699,
     'mixtac_driver': 5483,
-    'mixtac_fger': 4720,
+    'mixtac_fger': 4750,
     'mixtac_sim': 8070,
     'mixtac_slip_control': 2334,
     'mixtac': 445,
