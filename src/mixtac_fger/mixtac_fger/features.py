@@ -228,6 +228,21 @@ class Contrast:
     coarse: F32
 
 
+def light_basis(shape: Sequence[int]) -> F32:
+    """Return an orthonormal basis of smooth changes of light, float32 [bins, 6].
+
+    They are the polynomials of second degree in row and column: a lamp that fades, or wanders,
+    changes the log contrast smoothly, and a contact moves beads.
+
+    Args:
+        shape: Rows and columns of the picture.
+    """
+    lines = (np.linspace(-1.0, 1.0, count) for count in shape)
+    y, x = (axis.ravel() for axis in np.meshgrid(*lines, indexing='ij'))
+    found, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1))
+    return found.astype(np.float32)
+
+
 class FramePreparation:
     """Turns camera frames into log contrast, event guides and network inputs.
 
@@ -243,6 +258,8 @@ class FramePreparation:
         self._coarse = np.empty(config.frame_shape, np.float32)
         self._work = np.empty((9, *config.frame_shape), np.float32)
         self._flow = np.empty((2, *config.frame_shape), np.float32)
+        self._even = np.empty(config.frame_shape, np.float32)
+        self._light = light_basis(config.frame_shape)
         self._reads_flow = bool({'flow_x', 'flow_y'} & set(config.frame_channels))
         self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
 
@@ -289,26 +306,31 @@ class FramePreparation:
     def network_input(self, contrast: Contrast, reference: F32) -> F32:
         """Return the frame network's input, float32 [channels, rows, columns].
 
+        What a smooth change of light since the reference explains is taken out of the frame first.
+
         Args:
             contrast: The frame.
             reference: Coarse log contrast without contact.
         """
         config = self._config
+        change = (contrast.coarse - reference).ravel()
+        light = self._light @ (self._light.T @ change)
+        np.subtract(contrast.coarse, light.reshape(reference.shape), out=self._even)
         if self._reads_flow:
-            self._displace(contrast, reference)
+            self._displace(reference)
         channels = {
-            'frame': contrast.coarse,
-            'difference': contrast.coarse - reference,
+            'frame': self._even,
+            'difference': self._even - reference,
             'flow_x': self._flow[0],
             'flow_y': self._flow[1],
         }
         return np.stack([channels[name] for name in config.frame_channels])
 
-    def picture(self, contrast: Contrast, reference: F32) -> PictureFigures:
+    def picture(self, reference: F32) -> PictureFigures:
         """Return what the frame of the latest `network_input` has in common with the reference."""
         if not self._reads_flow:
-            self._displace(contrast, reference)
-        return picture_figures(reference, contrast.coarse, self._flow)
+            self._displace(reference)
+        return picture_figures(reference, self._even, self._flow)
 
     def moments(self) -> F32:
         """Return the moments of the displacement of the latest `network_input`, float32 [9].
@@ -320,9 +342,9 @@ class FramePreparation:
             moments(self._flow, out)
         return out
 
-    def _displace(self, contrast: Contrast, reference: F32) -> None:
+    def _displace(self, reference: F32) -> None:
         radius, ridge = self._config.flow_radius, self._config.flow_regularisation
-        displacement(reference, contrast.coarse, radius, ridge, self._work, self._flow)
+        displacement(reference, self._even, radius, ridge, self._work, self._flow)
 
 
 def mean_contrast(parts: Iterable[F32]) -> F32:

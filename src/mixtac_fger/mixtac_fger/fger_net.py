@@ -392,7 +392,7 @@ class FgerEstimator:
                 return None
             reference, number = found
             inputs = self._preparation.network_input(contrast, reference)
-            picture = self._preparation.picture(contrast, reference)
+            picture = self._preparation.picture(reference)
             moments = self._preparation.moments()
             feature = np.empty(self.config.feature_size, np.float32)
             force = frame_step(inputs, moments, self._weights, self._maps, self._scratch, feature)

@@ -122,21 +122,20 @@ def tile_moments(a: F32, b: F32, out: F64) -> None:
         out: Mean of a and of b, variance of a and of b, covariance; float64 [5, tiles].
     """
     rows, columns = a.shape
-    count = np.zeros(out.shape[1])
-    out[:] = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            tile = row * TILE_ROWS // rows * TILE_COLUMNS + column * TILE_COLUMNS // columns
-            x, y = np.float64(a[row, column]), np.float64(b[row, column])
-            count[tile] += 1.0
-            for kind, value in enumerate((x, y, x * x, y * y, x * y)):
-                out[kind, tile] += value
     for tile in range(out.shape[1]):
-        for kind in range(out.shape[0]):
-            out[kind, tile] /= count[tile]
-        out[2, tile] -= out[0, tile] * out[0, tile]
-        out[3, tile] -= out[1, tile] * out[1, tile]
-        out[4, tile] -= out[0, tile] * out[1, tile]
+        row, column = tile // TILE_COLUMNS, tile % TILE_COLUMNS
+        top, bottom = row * rows // TILE_ROWS, (row + 1) * rows // TILE_ROWS
+        left, right = column * columns // TILE_COLUMNS, (column + 1) * columns // TILE_COLUMNS
+        x = y = xx = yy = xy = np.float64(0.0)
+        for i in range(top, bottom):
+            for j in range(left, right):
+                p, q = np.float64(a[i, j]), np.float64(b[i, j])
+                x, y, xx, yy, xy = x + p, y + q, xx + p * p, yy + q * q, xy + p * q
+        count = (bottom - top) * (right - left)
+        x, y = x / count, y / count
+        out[0, tile], out[1, tile] = x, y
+        out[2, tile], out[3, tile] = xx / count - x * x, yy / count - y * y
+        out[4, tile] = xy / count - x * y
 
 
 @njit(cache=True, nogil=True)
@@ -163,6 +162,26 @@ def add_events(x: U16, y: U16, on: Bools, size: int, net: NDArray[np.int8]) -> N
         if row < rows and column < columns:
             value = int(net[row, column]) + (1 if on[index] else -1)
             net[row, column] = min(max(value, -127), 127)
+
+
+@njit(cache=True, nogil=True)
+def sum_windows(
+    windows: NDArray[np.int8], chosen: Bools, scale: float, way: F32, path: F32
+) -> None:
+    """Add windows to maps of the way, and of the way without its sign, float32 [rows, columns]."""
+    for index in range(windows.shape[0]):
+        if chosen[index]:
+            for row in range(way.shape[0]):
+                for column in range(way.shape[1]):
+                    step = np.float32(scale) * np.float32(windows[index, row, column])
+                    way[row, column] += step
+                    path[row, column] += abs(step)
+
+
+def middle(values: F64, share: float = 0.5) -> float:
+    """Return a quantile of a few values."""
+    place = int(share * len(values))
+    return float(np.partition(values, place)[place])
 
 
 class PictureFigures(NamedTuple):
@@ -219,11 +238,11 @@ def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
     tile_moments(image - moved, image - reference, tiles[0])
     tile_moments(reference, reference, tiles[1])
     tile_moments(flow[0], flow[1], tiles[2])
-    shade = (tiles[0, 0] - np.median(tiles[0, 0])) ** 2
+    shade = (tiles[0, 0] - middle(tiles[0, 0])) ** 2
     u, v = tiles[2, 0], tiles[2, 1]
-    middle = np.median(u), np.median(v)
-    shift = min(math.hypot(*middle), math.hypot(np.median(u[BORDER]), np.median(v[BORDER])))
-    u, v = u - middle[0], v - middle[1]
+    most = middle(u), middle(v)
+    shift = min(math.hypot(*most), math.hypot(middle(u[BORDER]), middle(v[BORDER])))
+    u, v = u - most[0], v - most[1]
     y, x = np.divmod(np.arange(len(u)), TILE_COLUMNS)
     weights = u * u + v * v
     weights /= weights.sum() + 1e-12
@@ -231,10 +250,6 @@ def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
     outward = (u * away_x + v * away_y) / (np.hypot(away_x, away_y) + 1e-3)
     residual, change = tiles[0, 2] + shade, tiles[0, 3] + shade
     return PictureFigures(residual, change, tiles[1, 2], shift, float(outward.mean()))
-
-
-Shown = tuple[int, F32]
-"""Centre of an exposure [us], and the coarse log contrast of the frame [rows, columns]."""
 
 
 class Validity:
@@ -266,12 +281,10 @@ class Validity:
 
     def skip(self) -> None:
         """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
-        self._before: Shown | None = None
-        self._anchor: Shown | None = None
-        self._age = 0
+        self._before: tuple[int, F32] | None = None
         self._ends = np.full(KEPT_WINDOWS, -1, np.int64)
         self._net = np.zeros((KEPT_WINDOWS, 1, 1), np.int8)
-        self._next = 0
+        self._next = self._age = 0
 
     @property
     def reason(self) -> Reason:
@@ -316,66 +329,55 @@ class Validity:
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
         """Return what a frame and the events since the frames before it contradict."""
         before, self._before = self._before, (mid_us, contrast)
-        if before is None or self._anchor is None:
-            self._anchor, self._age = self._before, 0
+        if before is None:
             self._net = np.zeros((KEPT_WINDOWS, *contrast.shape), np.int8)
+            self._start(contrast)
             return set()
         if np.array_equal(before[1], contrast):
             return {Reason.FRAME_FROZEN}
         self._age += 1
-        changed, signs = self._moments(before, self._before)[2:4]
-        self._noise = follow(self._noise, changed / 2.0)
-        self._murmur = follow(self._murmur, signs)
+        way, path = np.zeros((2, *contrast.shape), np.float32)
+        chosen = (self._ends > before[0]) & (self._ends <= mid_us)
+        scale = 1.0 / (self._width // contrast.shape[1]) ** 2
+        sum_windows(self._net, chosen, scale, way, path)
+        moments = np.empty((5, len(self._noise)))
+        tile_moments(contrast - before[1], way, moments)
+        changed = moments[2] / 2.0
+        self._noise = follow(self._noise, changed)
+        self._murmur = follow(self._murmur, moments[3])
         # Some part of the skin rests: where all of it changes more than usual, noise has grown.
-        grown = max(1.0, float(np.quantile(changed / 2.0 / self._noise, REST_SHARE)))
-        if self._judge(2.0 * grown * self._noise, self._anchor, self._before):
-            self._rested, self._age = 0, JUDGED_FRAMES
-        else:
-            self._rested += 1
-        if self._age >= JUDGED_FRAMES:
-            self._anchor, self._age = self._before, 0
+        grown = max(1.0, middle(changed / self._noise, REST_SHARE))
+        self._way += way
+        self._path += path
+        moved = self._judge(2.0 * grown * self._noise, contrast)
+        self._rested = 0 if moved else self._rested + 1
+        if moved or self._age >= JUDGED_FRAMES:
+            self._start(contrast)
         if self._rested == REST_FRAMES:
             self._agreements.extend([1.0] * JUDGED_FRAMES)
-        wrong = np.median(self._agreements) < LEAST_AGREEMENT
+        wrong = sorted(self._agreements)[JUDGED_FRAMES // 2] < LEAST_AGREEMENT
         return {Reason.EVENTS_DISAGREE} if wrong else set()
 
-    def _moments(self, before: Shown, after: Shown) -> F64:
-        """Compare the change between two frames with the events between them.
+    def _start(self, contrast: F32) -> None:
+        """Compare the next frames with this one."""
+        self._anchor: F32 = contrast
+        self._age = 0
+        self._way: F32 = np.zeros_like(contrast)
+        self._path: F32 = np.zeros_like(contrast)
 
-        Returns:
-            Of `tile_moments`: the change [log units], and ON less OFF events [1/px].
-        """
-        change, moments = after[1] - before[1], np.empty((5, len(self._noise)))
-        net = self._net[self._between(before, after)].sum(0, dtype=np.float32)
-        net /= np.float32((self._width // change.shape[1]) ** 2)
-        tile_moments(change, net, moments)
-        return moments
-
-    def _between(self, before: Shown, after: Shown) -> Bools:
-        """Return which windows lie between the centres of two exposures, bool [KEPT_WINDOWS]."""
-        return (self._ends > before[0]) & (self._ends <= after[0])
-
-    def _wavers(self, before: Shown, after: Shown) -> Bools:
-        """Return which tiles moved to and fro between two frames, which frames do not show."""
-        windows = self._net[self._between(before, after)]
-        way = np.abs(windows.sum(0, dtype=np.float32))
-        path = np.abs(windows).sum(0, dtype=np.float32)
-        moments = np.empty((5, len(self._noise)))
-        tile_moments(way, path, moments)
-        return np.asarray(moments[0] < ONE_WAY * moments[1])
-
-    def _judge(self, noise: F64, before: Shown, after: Shown) -> bool:
-        """Correlate the change between two frames with the events, where either is strong.
+    def _judge(self, noise: F64, contrast: F32) -> bool:
+        """Correlate a change since the start with the events, where either is strong.
 
         Args:
             noise: Variance of the change in each tile without motion [log units^2].
-            before: The earlier frame.
-            after: The later one.
+            contrast: Of the latest frame.
 
         Returns:
             Whether anything has moved by so much that both must show it.
         """
-        _, _, changed, signs, both = self._moments(before, after)
+        moments = np.empty((5, len(noise)))
+        tile_moments(contrast - self._anchor, self._way, moments)
+        _, _, changed, signs, both = moments
         # Hot pixels go on and on with one sign.
         murmur = self._age**2 * self._murmur
         moved = np.where(changed > SIGNAL * noise, changed - noise, 0.0)
@@ -383,7 +385,10 @@ class Validity:
         # A pixel does not report a change below its threshold.
         used = np.maximum(self._gain**2 * moved, fired) > STRONG**2
         if used.any():
-            used &= ~self._wavers(before, after)
+            # What moved to and fro is not in the frames.
+            moments = np.empty_like(moments)
+            tile_moments(np.abs(self._way), self._path, moments)
+            used &= moments[0] >= ONE_WAY * moments[1]
         if not used.any():
             return False
         total, of_frames, of_events = (float(each[used].sum()) for each in (both, changed, signs))
@@ -405,4 +410,6 @@ def warm_up() -> None:
     picture = np.ones((TILE_ROWS, TILE_COLUMNS), np.float32)
     picture_figures(picture, picture, np.zeros((2, *picture.shape), np.float32))
     none = np.zeros(1, np.uint16)
-    add_events(none, none, np.zeros(1, np.bool_), np.int64(4), np.zeros((1, 1), np.int8))
+    yes, net = np.ones(1, np.bool_), np.zeros((1, 1, 1), np.int8)
+    add_events(none, none, yes, np.int64(4), net[0])
+    sum_windows(net, yes, 1.0, picture, picture)
