@@ -28,7 +28,7 @@ from fork_server import ForkServer, NodeProcess  # noqa: E402
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from mixtac_node.graph import NodeSpec
+    from mixtac_core.node.graph import NodeSpec
 
 # 0 is everybody's default; above 100 the ports run into Linux's ephemeral range.
 DOMAINS = range(1, 100)
@@ -339,9 +339,9 @@ def declared_launch_arguments(path: Path) -> list[str]:
         *('launch_ros', 'launch_ros.actions', 'launch_ros.substitutions'),
     )
     with mock.patch.dict(sys.modules, dict.fromkeys(modules, substitute)):
-        sys.modules.pop('mixtac_node.launch_actions', None)
+        sys.modules.pop('mixtac_core.node.launch_actions', None)
         runpy.run_path(str(path))
-        sys.modules.pop('mixtac_node.launch_actions', None)
+        sys.modules.pop('mixtac_core.node.launch_actions', None)
     return names
 
 
@@ -354,7 +354,7 @@ def launch_arguments() -> Callable[[Path], list[str]]:
 @pytest.fixture(scope='session')
 def commands() -> dict[str, Any]:
     """Return every command of `mixtac` by the words that it is called with."""
-    from mixtac_cli.main import root
+    from mixtac.main import root
 
     found: dict[str, Any] = {}
 

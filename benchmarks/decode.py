@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_cli.figures import make_table
-from mixtac_cli.options import JsonFile
+from mixtac.figures import make_table
+from mixtac.options import JsonFile
+from mixtac_core.node.files import write_json
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_node.files import write_json
 
 ROWS_PER_STAMP, SEED = 10, 1
 FRAME_COLUMNS, FRAME_ROWS = 260, 346

@@ -18,18 +18,18 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mixtac_cli.figures import make_table
-from mixtac_cli.options import JsonFile, ModelName, Preset
-from mixtac_events.codec import decode_message, encode
-from mixtac_events.windows import WindowSlicer
+from mixtac.figures import make_table
+from mixtac.options import JsonFile, ModelName, Preset
+from mixtac_core.events.codec import decode_message, encode
+from mixtac_core.events.windows import WindowSlicer
+from mixtac_core.node.files import write_json
+from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.validity import Validity
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
-from mixtac_node.files import write_json
-from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
 
 

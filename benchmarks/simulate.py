@@ -20,10 +20,10 @@ import typer
 from rich.console import Console
 from rosbags.rosbag2 import Writer
 
-from mixtac_cli.figures import make_table
-from mixtac_cli.options import JsonFile, Preset
-from mixtac_node.files import write_json
-from mixtac_recordings.dataset import TrialSpec
+from mixtac.figures import make_table
+from mixtac.options import JsonFile, Preset
+from mixtac_core.node.files import write_json
+from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.trial_bag import TruthMessages, generate, write_trial
 from mixtac_sim.mechanics.contact import Contact

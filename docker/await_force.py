@@ -11,8 +11,8 @@ import time
 
 import rclpy
 
-from mixtac_node.base_node import qos
-from mixtac_node.topics import DEFAULT_NAMESPACE, FORCE, message_class
+from mixtac_core.node.base_node import qos
+from mixtac_core.node.topics import DEFAULT_NAMESPACE, FORCE, message_class
 
 WAIT_S = 8.0
 

@@ -11,6 +11,6 @@ fi
 . "$MIXTAC_ROOT/tools/env.sh"
 if [ "${1:-}" = mixtac ]; then
     shift
-    exec python -m mixtac_cli "$@"
+    exec python -m mixtac "$@"
 fi
 exec "$@"

@@ -29,10 +29,16 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
-from mixtac_node.graph import recorder, rosbag2_qos
-from mixtac_node.launch_actions import BOOLEAN, environment, node_actions, shared_arguments, value
-from mixtac_node.process import GraphError
-from mixtac_node.topics import REFERENCE
+from mixtac_core.node.graph import recorder, rosbag2_qos
+from mixtac_core.node.launch_actions import (
+    BOOLEAN,
+    environment,
+    node_actions,
+    shared_arguments,
+    value,
+)
+from mixtac_core.node.process import GraphError
+from mixtac_core.node.topics import REFERENCE
 
 FORWARDED = (
     'device',
@@ -107,7 +113,7 @@ def _recorder(context):
 
 def _check(context):
     """Return the process that checks."""
-    command = [sys.executable, '-m', 'mixtac_cli', 'record', value(context, 'output')]
+    command = [sys.executable, '-m', 'mixtac', 'record', value(context, 'output')]
     command += ['--check', '--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     if value(context, 'device') and not value(context, 'start_after'):

@@ -13,7 +13,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
-from mixtac_node.launch_actions import BOOLEAN, shared_arguments
+from mixtac_core.node.launch_actions import BOOLEAN, shared_arguments
 
 PLAYBACK = {
     'rate': ('1.0', 'Playback speed: 1 is real time, 0 is as fast as the subscribers allow'),

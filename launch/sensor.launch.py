@@ -6,8 +6,8 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 
-from mixtac_node.graph import sensor_graph
-from mixtac_node.launch_actions import (
+from mixtac_core.node.graph import sensor_graph
+from mixtac_core.node.launch_actions import (
     BOOLEAN,
     environment,
     given,
@@ -100,7 +100,7 @@ def _nodes(context):
         reference_topic=value(context, 'reference_topic'),
     )
     frames = Node(
-        package='mixtac_description',
+        package='mixtac_driver',
         executable='frames_node',
         exec_name='frames_node',
         namespace=value(context, 'namespace'),

@@ -5,8 +5,8 @@
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
-from mixtac_node.graph import sensor_graph, slip_control
-from mixtac_node.launch_actions import (
+from mixtac_core.node.graph import sensor_graph, slip_control
+from mixtac_core.node.launch_actions import (
     environment,
     given,
     node_actions,

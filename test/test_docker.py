@@ -136,8 +136,8 @@ def test_commands_of_the_services_exist():
 
 
 def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does():
-    from mixtac_cli.main import INTERRUPTED
-    from mixtac_node.process import STOP_GRACE_S
+    from mixtac.main import INTERRUPTED
+    from mixtac_core.node.process import STOP_GRACE_S
 
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str

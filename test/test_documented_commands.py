@@ -16,8 +16,8 @@ import yaml
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_cli import main as cli
-from mixtac_node.topics import SERVICES, TOPICS
+from mixtac import main as cli
+from mixtac_core.node.topics import SERVICES, TOPICS
 from mixtac_slip_control.parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -17,8 +17,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_node.parameters import specs
-from mixtac_node.topics import SERVICES, TOPICS
+from mixtac_core.node.parameters import specs
+from mixtac_core.node.topics import SERVICES, TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
 INTERFACE = json.loads((ROOT / 'test' / 'interface.json').read_text())

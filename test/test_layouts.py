@@ -14,7 +14,7 @@ import yaml
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_node.topics import TOPICS, message_class
+from mixtac_core.node.topics import TOPICS, message_class
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 TYPES = {each.resolved('mixtac'): each.type_name for each in TOPICS}

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-TOPICS = ROOT / 'src' / 'mixtac_node' / 'mixtac_node' / 'topics.py'
+TOPICS = ROOT / 'src' / 'mixtac_core' / 'mixtac_core' / 'node' / 'topics.py'
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
 KEYS = {
     'cv2': 'python3-opencv',
@@ -58,7 +58,7 @@ def imported(package: str) -> set[str]:
     if package == 'mixtac_bringup':
         modules += (ROOT / 'launch').glob('*.py')
     found = imports(modules)
-    if package == 'mixtac_node':
+    if package == 'mixtac_core':
         # Its table of topics names the messages of all nodes.
         found |= set(re.findall(r"'(\w+)/msg/\w+'", TOPICS.read_text()))
     return found - {package}
@@ -127,7 +127,7 @@ def test_what_is_declared_is_imported(package):
         pytest.skip('has no Python modules')
     started = {'ros2launch', 'ros2bag', 'rosbag2_storage_mcap'}
     # These two start the nodes of other packages.
-    started = started | set(PACKAGES) if package in {'mixtac_bringup', 'mixtac_cli'} else set()
+    started = started | set(PACKAGES) if package in {'mixtac_bringup', 'mixtac'} else set()
     used = {KEYS.get(name, name) for name in imported(package)} | started
     assert sorted(declared(package) - used) == []
 

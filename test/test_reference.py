@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from mixtac_node.parameters import build, specs
+from mixtac_core.node.parameters import build, specs
 
 pytest.importorskip('diagnostic_msgs', reason='needs ROS 2')
 ROOT = Path(__file__).resolve().parents[1]

@@ -23,12 +23,12 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 ROOT = Path(__file__).resolve().parents[1]
-HIDDEN = ('torch', 'matplotlib', 'mixtac_sim', 'mixtac_learning', 'mixtac_cli')
+HIDDEN = ('torch', 'matplotlib', 'mixtac_sim', 'mixtac_learning', 'mixtac')
 NODES = {
     'driver': 'mixtac_driver.node.driver_node',
     'fger': 'mixtac_fger.fger_node',
     'slip_control': 'mixtac_slip_control.slip_control_node',
-    'alignment': 'mixtac_alignment.alignment_node',
+    'alignment': 'mixtac_fger.alignment.alignment_node',
 }
 HIDE = textwrap.dedent(
     """
@@ -94,7 +94,7 @@ def test_an_environment_of_its_own(tmp_path: Path):
     names = {line.partition('=')[0].lower() for line in listed.splitlines()}
     assert not names & {'torch', 'matplotlib', 'ruff', 'mypy'}
     for module in NODES.values():
-        node = f'python -m mixtac_node {module} --ros-args -p device:=davis346'
+        node = f'python -m mixtac_core.node {module} --ros-args -p device:=davis346'
         shell = f'. tools/env.sh && exec timeout -s INT 15 {node}'
         ended = subprocess.run(
             ['bash', '-c', shell],

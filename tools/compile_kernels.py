@@ -13,15 +13,15 @@ import sys
 import tempfile
 from pathlib import Path
 
+from mixtac_core.events import codec
+from mixtac_core.events.frames import PICTURE_KERNELS
+from mixtac_core.node.process import compiling
 from mixtac_driver import pixels
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_events import codec
-from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import warm_up
 from mixtac_fger.weights import find_model, read_model
-from mixtac_node.process import compiling
 
 
 def main() -> None:
@@ -41,7 +41,7 @@ def main() -> None:
 
 def simulate() -> None:
     """Run the simulator."""
-    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_core.recordings.dataset import TrialSpec
     from mixtac_sim.bags.trial_bag import write_trial
 
     with tempfile.TemporaryDirectory() as folder:

@@ -4,7 +4,7 @@
 # Style, types, layers, and whether the generated pages are up to date.
 set -eu
 cd "$(dirname "$0")/.."
-mypy src/*/mixtac_*/ src/mixtac/mixtac/ tools &
+mypy src/*/mixtac*/ tools &
 types=$!
 trap wait EXIT # what mypy finds is shown although another check has failed
 ruff check .

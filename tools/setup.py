@@ -35,12 +35,8 @@ EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
-    'mixtac_events',
-    'mixtac_node',
-    'mixtac_recordings',
-    'mixtac_description',
+    'mixtac_core',
     'mixtac_driver',
-    'mixtac_alignment',
     'mixtac_fger',
     'mixtac_slip_control',
     'mixtac_bringup',

@@ -13,13 +13,13 @@ from typing import Any
 
 import yaml
 
-from mixtac_alignment.parameters import AlignmentParameters, ForceErrorParameters
-from mixtac_cli.parameters import RecorderParameters, SupervisorParameters, ViewParameters
+from mixtac.parameters import RecorderParameters, SupervisorParameters, ViewParameters
+from mixtac_core.node.graph import rosbag2_qos
+from mixtac_core.node.parameters import ParameterSpec, specs, yaml_scalar
+from mixtac_core.node.topics import SERVICES, TOPICS
 from mixtac_driver.parameters import DriverParameters
+from mixtac_fger.alignment.parameters import AlignmentParameters, ForceErrorParameters
 from mixtac_fger.parameters import FgerParameters
-from mixtac_node.graph import rosbag2_qos
-from mixtac_node.parameters import ParameterSpec, specs, yaml_scalar
-from mixtac_node.topics import SERVICES, TOPICS
 from mixtac_sim.parameters import (
     VirtualArmParameters,
     VirtualGraspParameters,

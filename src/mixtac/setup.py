@@ -16,9 +16,17 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
     ],
     install_requires=['setuptools'],
-    zip_safe=True,
+    zip_safe=False,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description='Normal force of a Mixtac sensor in Python, without ROS',
+    description='The mixtac command, the Python interface of the sensor, recorder and live view',
     license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'mixtac = mixtac.main:main',
+            'recorder_node = mixtac.record.recorder_node:main',
+            'supervisor_node = mixtac.supervisor_node:main',
+            'view_node = mixtac.view.view_node:main',
+        ],
+    },
 )

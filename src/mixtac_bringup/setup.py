@@ -25,6 +25,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         # launch and config are links to the folders of these names at the top of the repository.
         (f'share/{PACKAGE}/launch', sorted(map(str, Path('launch').glob('*.launch.py')))),
+        (f'share/{PACKAGE}/urdf', sorted(map(str, Path('urdf').glob('*.xacro')))),
         *config_files(),
     ],
     install_requires=['setuptools'],

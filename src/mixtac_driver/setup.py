@@ -19,7 +19,12 @@ setup(
     zip_safe=False,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description='Driver of the DAVIS346 event camera',
+    description='The DAVIS346 event camera: USB, registers, decoder, driver node',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['driver_node = mixtac_driver.node.driver_node:main']},
+    entry_points={
+        'console_scripts': [
+            'driver_node = mixtac_driver.node.driver_node:main',
+            'frames_node = mixtac_driver.frames_node:main',
+        ],
+    },
 )

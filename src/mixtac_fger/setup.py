@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Installs mixtac_fger with its models."""
+"""Installs mixtac_fger."""
 
 from pathlib import Path
 
@@ -19,13 +19,17 @@ setup(
         (f'share/{PACKAGE}/models', sorted(map(str, Path('models').glob('*.*')))),
     ],
     install_requires=['setuptools'],
-    zip_safe=True,
+    zip_safe=False,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description='Normal force from frames and events',
+    description='Normal force and contact from frames and events; alignment of a reference',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': ['fger_node = mixtac_fger.fger_node:main'],
+        'console_scripts': [
+            'fger_node = mixtac_fger.fger_node:main',
+            'alignment_node = mixtac_fger.alignment.alignment_node:main',
+            'force_error_node = mixtac_fger.alignment.force_error_node:main',
+        ],
         'mixtac.estimators': ['fger_small = mixtac_fger.fger_net:FgerEstimator'],
     },
 )

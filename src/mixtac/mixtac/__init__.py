@@ -8,18 +8,39 @@ with Sensor('virtual') as s:
     print(s.read())
 """
 
-from mixtac.latest import (
-    NoReadingError,
-    NotOpenError,
-    ReadTimeoutError,
-    SensorError,
-    StaleReadingError,
-)
-from mixtac.sensor import Picture, Reading, Sensor
-from mixtac_driver.errors import NoCameraError
-from mixtac_events.errors import MixtacError
-from mixtac_fger.config import ModelError
-from mixtac_fger.reference import TareError
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mixtac.latest import (
+        NoReadingError,
+        NotOpenError,
+        ReadTimeoutError,
+        SensorError,
+        StaleReadingError,
+    )
+    from mixtac.sensor import Picture, Reading, Sensor
+    from mixtac_core.events.errors import MixtacError
+    from mixtac_driver.errors import NoCameraError
+    from mixtac_fger.config import ModelError
+    from mixtac_fger.reference import TareError
+
+_HOMES = {
+    'MixtacError': 'mixtac_core.events.errors',
+    'ModelError': 'mixtac_fger.config',
+    'NoCameraError': 'mixtac_driver.errors',
+    'NoReadingError': 'mixtac.latest',
+    'NotOpenError': 'mixtac.latest',
+    'Picture': 'mixtac.sensor',
+    'ReadTimeoutError': 'mixtac.latest',
+    'Reading': 'mixtac.sensor',
+    'Sensor': 'mixtac.sensor',
+    'SensorError': 'mixtac.latest',
+    'StaleReadingError': 'mixtac.latest',
+    'TareError': 'mixtac_fger.reference',
+}
 
 __all__ = [
     'MixtacError',
@@ -35,3 +56,10 @@ __all__ = [
     'StaleReadingError',
     'TareError',
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import a name of the interface when it is first used: the command starts without it."""
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(_HOMES[name]), name)

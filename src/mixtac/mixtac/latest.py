@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 
 T = TypeVar('T')
 LONG_MS = 60_000

@@ -21,29 +21,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac.latest import LONG_MS, Latest, NotOpenError, SensorError
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import warm_up as warm_up_codec
+from mixtac_core.events.frames import PICTURE_KERNELS
+from mixtac_core.node.files import state_file
+from mixtac_core.node.parameters import build
+from mixtac_core.node.process import compiling
+from mixtac_core.recordings.messages import left_aligned
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
-from mixtac_events.arrays import Events
-from mixtac_events.codec import warm_up as warm_up_codec
-from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
-from mixtac_node.files import state_file
-from mixtac_node.parameters import build
-from mixtac_node.process import compiling
-from mixtac_recordings.messages import left_aligned
 
 if TYPE_CHECKING:
     from mixtac.virtual import VirtualProcess
+    from mixtac_core.events.readings import Frame
     from mixtac_driver.camera import CameraBatch
-    from mixtac_events.readings import Frame
     from mixtac_fger.estimator import EncodedFrame, Estimate
 
 USB: Final = 'usb'

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from mixtac.latest import SensorError
-from mixtac_events.errors import MixtacError
-from mixtac_node.process import JsonProcess
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.process import JsonProcess
 
 NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000

@@ -21,11 +21,11 @@ from mixtac import (
     SensorError,
     virtual,
 )
+from mixtac_core.node.parameters import ParameterError
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters
-from mixtac_node.parameters import ParameterError
-from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.world.plans import plan_profile
 

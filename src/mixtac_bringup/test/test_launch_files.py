@@ -19,9 +19,9 @@ from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.qos import qos_profile_system_default
 
-from mixtac_node.graph import config_file, sensor_graph
-from mixtac_node.process import GraphError
-from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW
+from mixtac_core.node.graph import config_file, sensor_graph
+from mixtac_core.node.process import GraphError
+from mixtac_core.node.topics import EVENTS, FORCE, IMAGE_RAW
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
 FILES = ('sensor', 'replay', 'record')
@@ -77,7 +77,7 @@ def test_the_launch_file_starts_the_graph(device):
 
 def test_the_frames_of_the_fingertip_are_published_unless_the_robot_does():
     found, _ = processes('sensor', device='davis346', frames='true')
-    assert names(found) == [*graph_names('davis346'), ('mixtac_description', 'frames_node')]
+    assert names(found) == [*graph_names('davis346'), ('mixtac_driver', 'frames_node')]
 
 
 def test_overrides_reach_the_driver():
@@ -135,7 +135,7 @@ def test_a_recording_checks_first_and_brings_its_sensor(device):
 def test_a_recording_without_checks_starts_its_recorder(recorder):
     found, _ = processes('record', output='/some/new', check='false', recorder=recorder)
     if recorder == 'mixtac':
-        assert names(found) == [('mixtac_cli', 'recorder_node')]
+        assert names(found) == [('mixtac', 'recorder_node')]
         return
     command = words(found[0])
     assert command[:3] == ['ros2', 'bag', 'record']

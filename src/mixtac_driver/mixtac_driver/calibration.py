@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_driver.camera_info import (
     EQUIDISTANT,
     MODELS,
@@ -25,7 +26,6 @@ from mixtac_driver.camera_info import (
     CameraCalibration,
     check_model,
 )
-from mixtac_events.arrays import Floats
 
 Grey = NDArray[np.uint8 | np.uint16]
 

@@ -11,6 +11,9 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
+from mixtac_core.events.clock_map import ClockMap
+from mixtac_core.events.readings import DecodedBatch
+from mixtac_core.node.process import exact_sleeps
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
@@ -26,9 +29,6 @@ from mixtac_driver.usb.transport import (
     Transfer,
     TransportCounters,
 )
-from mixtac_events.clock_map import ClockMap
-from mixtac_events.readings import DecodedBatch
-from mixtac_node.process import exact_sleeps
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,12 +19,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Events, Floats
+from mixtac_core.node.files import FileError, load_yaml, write_text
+from mixtac_core.node.share import ShareError, share
 from mixtac_driver.errors import DriverError
 from mixtac_driver.parameters import DeviceParameters
 from mixtac_driver.pixels import event_buffers, move_events
-from mixtac_events.arrays import Events, Floats
-from mixtac_node.files import FileError, load_yaml, write_text
-from mixtac_node.share import ShareError, share
 
 EQUIDISTANT = 'equidistant'
 PLUMB_BOB = 'plumb_bob'

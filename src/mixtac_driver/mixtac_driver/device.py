@@ -20,11 +20,11 @@ import usb.core
 import usb.util
 from usb.core import USBError
 
+from mixtac_core.events.errors import MixtacError
 from mixtac_driver.davis346.model import camera_models, models_for
 from mixtac_driver.errors import NoCameraError, UnknownDeviceError, UsbError
 from mixtac_driver.usb.libusb import LibusbPort
 from mixtac_driver.usb.protocol import Protocol, usb_failure
-from mixtac_events.errors import MixtacError
 
 GROUP = 'mixtac.usb_backends'
 

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_core.events.clock_map import ClockEstimate
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.readings import Frame
 from mixtac_driver.camera import LOSSES, Davis346
 from mixtac_driver.davis346.model import Identity, camera_models
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import TransportCounters
-from mixtac_events.clock_map import ClockEstimate
-from mixtac_events.errors import MixtacError
-from mixtac_events.readings import Frame
 
 Value = str | int | float | bool | None
 ROOT = Path('/')

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from mixtac_core.events.codec import ENCODINGS
+from mixtac_core.node.parameters import fixed, parameter
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import ConfigurationError
-from mixtac_events.codec import ENCODINGS
-from mixtac_node.parameters import fixed, parameter
 
 
 class RecoveryPolicy(str, Enum):

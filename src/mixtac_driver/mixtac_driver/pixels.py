@@ -22,11 +22,11 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.node.files import replacing
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
-from mixtac_events.arrays import Events
-from mixtac_node.files import replacing
 
 IN_CAMERA = 255
 """Grey value of a pixel that the camera masks, in the image of a mask."""

@@ -17,18 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mixtac_driver.camera import CameraBatch, SourceStatus
-from mixtac_driver.clock import Origin
-from mixtac_driver.davis346.control import PixelFilter
-from mixtac_driver.davis346.model import DAVIS346, Clocks, Features, Geometry, Identity
-from mixtac_driver.errors import EndOfStream
-from mixtac_driver.parameters import DriverParameters
-from mixtac_events.arrays import Events
-from mixtac_events.clock_map import ClockMap
-from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
-from mixtac_events.windows import RESTART_US
-from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.recording import (
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.clock_map import ClockMap
+from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
+from mixtac_core.events.windows import RESTART_US
+from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.recording import (
     Piece,
     ReadCounters,
     Recording,
@@ -37,6 +31,12 @@ from mixtac_recordings.recording import (
     Selection,
     from_time,
 )
+from mixtac_driver.camera import CameraBatch, SourceStatus
+from mixtac_driver.clock import Origin
+from mixtac_driver.davis346.control import PixelFilter
+from mixtac_driver.davis346.model import DAVIS346, Clocks, Features, Geometry, Identity
+from mixtac_driver.errors import EndOfStream
+from mixtac_driver.parameters import DriverParameters
 
 GAP_US = 1000
 """Time from the end of one stretch to the start of the next, where recorded time goes back [us]."""

@@ -9,12 +9,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
+from mixtac_core.recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES
 from mixtac_driver.camera import CameraBatch, Davis346, SourceStatus
 from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES
 
 
 class Source(Protocol):

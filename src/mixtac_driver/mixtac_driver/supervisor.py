@@ -10,12 +10,12 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.errors import DriverError, EndOfStream, HungReadError
 from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
 from mixtac_driver.source import Source
-from mixtac_events.errors import MixtacError
-from mixtac_recordings.recording import RecordingError
 
 STOP_TIMEOUT_S = 8.0
 WATCH_S = 0.2

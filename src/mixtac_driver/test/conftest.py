@@ -9,4 +9,4 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 # Recordings to play.
-sys.path.append(str(Path(__file__).parents[2] / 'mixtac_recordings' / 'test'))
+sys.path.append(str(Path(__file__).parents[2] / 'mixtac_core' / 'test' / 'recordings'))

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mixtac_core.events.arrays import Events
 from mixtac_driver.errors import EndOfStream
-from mixtac_events.arrays import Events
 
 
 @dataclass

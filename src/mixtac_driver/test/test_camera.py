@@ -12,6 +12,7 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 from usb.core import USBError
 
+from mixtac_core.events.packetizer import PACKET_PERIOD_US
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import (
     AccessError,
@@ -21,7 +22,6 @@ from mixtac_driver.errors import (
     UnsupportedCameraError,
 )
 from mixtac_driver.parameters import DriverParameters
-from mixtac_events.packetizer import PACKET_PERIOD_US
 
 QUICK = DriverParameters(stream_timeout=0.3)
 

@@ -12,6 +12,8 @@ from board_camera import HEIGHT, WIDE, WIDTH, camera_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.node.files import FileError
 from mixtac_driver.camera_info import (
     MODELS,
     CalibratedCamera,
@@ -25,8 +27,6 @@ from mixtac_driver.camera_info import (
     write_camera_info,
 )
 from mixtac_driver.parameters import DriverParameters
-from mixtac_events.arrays import Events
-from mixtac_node.files import FileError
 
 # As camera_calibration_parsers writes it (the example of its documentation).
 OTHERS = """image_width: 2448

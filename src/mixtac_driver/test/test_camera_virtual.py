@@ -13,9 +13,9 @@ pytest.importorskip('mixtac_sim.usb.device')
 
 from virtual_scene import Scene
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.readings import STANDARD_GRAVITY
 from mixtac_driver.camera import Davis346
-from mixtac_events.arrays import Events
-from mixtac_events.readings import STANDARD_GRAVITY
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 
 pytestmark = pytest.mark.live

@@ -13,12 +13,12 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 from virtual_scene import Scene
 
+from mixtac_core.events.clock_map import ClockEstimate
 from mixtac_driver import doctor
 from mixtac_driver.camera import Davis346
 from mixtac_driver.doctor import Finding, Level, Measurement, check_measurement, check_running, ok
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import TransportCounters
-from mixtac_events.clock_map import ClockEstimate
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 from mixtac_sim.usb.registers import Board

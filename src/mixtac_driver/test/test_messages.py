@@ -14,11 +14,11 @@ pytest.importorskip('mixtac_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
+from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.recordings import messages
 from mixtac_driver.camera import Davis346
-from mixtac_events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_msgs.msg import ExternalEdge
-from mixtac_node.stamps import stamp_to_us
-from mixtac_recordings import messages
 
 ORIGIN_US = 1_760_000_000_000_000
 

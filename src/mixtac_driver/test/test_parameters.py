@@ -9,12 +9,12 @@ import dataclasses
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.node.parameters import ParameterError, build, specs
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.biases import BiasParameters
 from mixtac_driver.davis346.writes import register_writes, run_writes
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_node.parameters import ParameterError, build, specs
 
 VOLTAGES = {
     'ApsOverflowLevel': 0, 'ApsCas': 1, 'ADC_RefHigh': 2, 'ADC_RefLow': 3, 'ADC_TestVoltage': 4,

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
+from mixtac_core.node.files import FileError
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.clock import Origin
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.pixels import PixelCounter, PixelMask, hot_pixels, load_mask, save_mask
-from mixtac_events.arrays import Events
-from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
-from mixtac_node.files import FileError
 
 SIZE = (346, 260)
 PIXELS = st.tuples(st.integers(0, 345), st.integers(0, 259))

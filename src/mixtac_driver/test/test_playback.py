@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 from playing import play, until_end
 from recording_samples import START_US, Bag, assert_equal, some_events
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import decode
+from mixtac_core.events.packetizer import Packetizer
+from mixtac_core.events.readings import Frame
+from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.recording import Piece, RecordingError, from_time
 from mixtac_driver.errors import EndOfStream
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.playback import RecordedSource, Timeline, replayed_identity
-from mixtac_events.arrays import Events
-from mixtac_events.codec import decode
-from mixtac_events.packetizer import Packetizer
-from mixtac_events.readings import Frame
-from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.recording import Piece, RecordingError, from_time
 
 LENGTH_US = 50_000
 EVENTS = some_events(length_us=LENGTH_US)

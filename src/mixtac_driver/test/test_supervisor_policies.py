@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.errors import EndOfStream, HungReadError, NoCameraError, StreamError
 from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
 from mixtac_driver.supervisor import State, Supervisor
-from mixtac_recordings.recording import RecordingError
 
 
 @pytest.fixture(autouse=True)

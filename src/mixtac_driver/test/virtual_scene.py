@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.words import ImuReading
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from mixtac_events.errors import MixtacError
-from mixtac_node.files import FileError, structure
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import FileError, structure
 
 T = TypeVar('T')
 

@@ -12,10 +12,10 @@ from geometry_msgs.msg import PointStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
+from mixtac_core.node import topics
+from mixtac_core.node.stamps import us_to_stamp
 from mixtac_fger.displacement import field_places
 from mixtac_msgs.msg import Contact
-from mixtac_node import topics
-from mixtac_node.stamps import us_to_stamp
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ class ContactOutputs:
     """Publishers of contact and displacement, offered where they are wanted, and only there.
 
     Args:
-        node: An rclpy lifecycle node of `mixtac_node.base_node`.
+        node: An rclpy lifecycle node of `mixtac_core.node.base_node`.
     """
 
     def __init__(self, node: Any) -> None:  # noqa: ANN401

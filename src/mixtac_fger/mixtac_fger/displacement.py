@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.frames import bin_mean, displacement, gradients
+from mixtac_core.events.frames import bin_mean, displacement, gradients
 from mixtac_fger.config import FgerConfig
 
 F32 = NDArray[np.float32]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixtac_events.arrays import Events
+    from mixtac_core.events.arrays import Events
     from mixtac_fger.contact_tracking import Contact, Touch
     from mixtac_fger.reference import Reference
     from mixtac_fger.shear import Shear

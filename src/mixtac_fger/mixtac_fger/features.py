@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.errors import MixtacError
-from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
 from mixtac_fger.moments import moments
 from mixtac_fger.validity import PictureFigures, picture_figures

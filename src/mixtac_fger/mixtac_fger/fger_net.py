@@ -50,7 +50,7 @@ from mixtac_fger.weights import MODEL_REMEDY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_events.arrays import Events
+    from mixtac_core.events.arrays import Events
     from mixtac_fger.displacement import SkinScale
     from mixtac_fger.estimator import Image
     from mixtac_fger.weights import Model

@@ -14,10 +14,16 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from mixtac_events.codec import warm_up as warm_up_codec
-from mixtac_events.errors import MixtacError
-from mixtac_events.frames import PICTURE_KERNELS
-from mixtac_events.packets import CodecError, OwnPacket, read_packet
+from mixtac_core.events.codec import warm_up as warm_up_codec
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.frames import PICTURE_KERNELS
+from mixtac_core.events.packets import CodecError, OwnPacket, read_packet
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import BaseNode, declare, run
+from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_core.node.files import state_file
+from mixtac_core.node.process import freeze_loaded
+from mixtac_core.node.stamps import stamp_to_us
 from mixtac_fger.config import ModelError
 from mixtac_fger.contact_messages import ContactOutputs, stamp
 from mixtac_fger.estimator import (
@@ -33,12 +39,6 @@ from mixtac_fger.reference import TareError, reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import MODEL_REMEDY, find_model, read_model
 from mixtac_msgs.msg import ForceQuality
-from mixtac_node import topics
-from mixtac_node.base_node import BaseNode, declare, run
-from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
-from mixtac_node.files import state_file
-from mixtac_node.process import freeze_loaded
-from mixtac_node.stamps import stamp_to_us
 
 if TYPE_CHECKING:
     from lifecycle_msgs.srv import ChangeState

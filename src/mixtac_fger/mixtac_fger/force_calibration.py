@@ -34,7 +34,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 
 F64 = NDArray[np.float64]
 Series = NDArray[np.inexact[Any]]

@@ -10,9 +10,9 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, TypeAlias
 
+from mixtac_core.node.images import ImageConversionError
+from mixtac_core.node.process import lower_priority
 from mixtac_fger.features import ImageError
-from mixtac_node.images import ImageConversionError
-from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
     from collections.abc import Callable

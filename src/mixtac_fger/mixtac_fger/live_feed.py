@@ -11,16 +11,16 @@ from functools import partial
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from mixtac_events.codec import PacketMessage, decode_message
-from mixtac_events.packets import CodecError, OwnPacket
-from mixtac_events.sequence import SequenceCounter
+from mixtac_core.events.codec import PacketMessage, decode_message
+from mixtac_core.events.packets import CodecError, OwnPacket
+from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
+from mixtac_core.node.images import ImageConversionError, decompress_grey, grey
 from mixtac_fger.features import ImageError
 from mixtac_fger.validity import Reason
-from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
-from mixtac_node.images import ImageConversionError, decompress_grey, grey
 
 if TYPE_CHECKING:
-    from mixtac_events.packets import DecodedPacket
+    from mixtac_core.events.packets import DecodedPacket
     from mixtac_fger.estimator import Estimate, EstimatorStatus
     from mixtac_fger.streaming import ForceEstimator
 

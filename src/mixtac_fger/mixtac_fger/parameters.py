@@ -7,10 +7,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+from mixtac_core.node.parameters import ParameterError, fixed, parameter
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.displacement import skin_scale
 from mixtac_fger.weights import DEFAULT_MODEL
-from mixtac_node.parameters import ParameterError, fixed, parameter
 
 POLICIES: Final = ('withhold', 'hold', 'publish')
 """What becomes of a force that cannot be trusted; the first is the default."""

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import FileError, replacing, state_file
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import mean_contrast
-from mixtac_node.files import FileError, replacing, state_file
 
 F32 = NDArray[np.float32]
 

@@ -12,8 +12,8 @@ All times are on the camera clock [us].
   output until the next frame.
 * Packets are missing: windows without data produce no force, windows with incomplete data are
   marked. The state is kept, because a contact does not end with a lost packet; after a hole longer
-  than `LONG_HOLE_US` of `mixtac_events.sequence`, output resumes with the first frame exposed after
-  it.
+  than `LONG_HOLE_US` of `mixtac_core.events.sequence`, output resumes with the first frame exposed
+  after it.
 * The camera clock goes backwards: the recurrent state is reset and counted; the reference is kept,
   since the gel is still the same; output resumes with the next frame.
 * Values that are not finite are never output: the state is reset and counted.
@@ -29,10 +29,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_events.arrays import Events
-from mixtac_events.codec import decode, encode
-from mixtac_events.sequence import Arrival, StreamTime
-from mixtac_events.windows import WindowSlicer
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import decode, encode
+from mixtac_core.events.sequence import Arrival, StreamTime
+from mixtac_core.events.windows import WindowSlicer
 from mixtac_fger import validity
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear

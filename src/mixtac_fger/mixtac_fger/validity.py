@@ -29,7 +29,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -230,7 +230,7 @@ def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
         reference: Coarse log contrast without contact, float32 [rows, columns].
         image: Coarse log contrast now, same shape.
         flow: Displacement of the image against the reference along x and y [bins], float32
-            [2, rows, columns], of `mixtac_events.frames.displacement`.
+            [2, rows, columns], of `mixtac_core.events.frames.displacement`.
     """
     tiles = np.empty((3, 5, TILE_ROWS * TILE_COLUMNS))
     moved = np.empty_like(reference)

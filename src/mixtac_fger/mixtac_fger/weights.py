@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import replacing, write_text
+from mixtac_core.node.share import share
 from mixtac_fger.config import ModelError
-from mixtac_node.files import replacing, write_text
-from mixtac_node.share import share
 
 Tensors = Mapping[str, NDArray[Any]]
 """Arrays by name."""

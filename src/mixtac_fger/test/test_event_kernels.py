@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, bin_cells
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mixtac_events.codec import encode
+from mixtac_core.events.codec import encode
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.weights import write_model
 
@@ -28,11 +28,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
+from mixtac_core.node.base_node import QOS_SENSOR
+from mixtac_core.node.stamps import stamp_to_us, us_to_stamp
 from mixtac_fger.reference import Reference, reference_name
 from mixtac_fger.validity import Reason
 from mixtac_msgs.msg import Contact, ForceQuality
-from mixtac_node.base_node import QOS_SENSOR
-from mixtac_node.stamps import stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

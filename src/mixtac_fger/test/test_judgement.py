@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
+from mixtac_core.node.diagnostics import ERROR, OK, WARN
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import WATCHED, LiveFeed, feed_diagnosis
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
-from mixtac_node.diagnostics import ERROR, OK, WARN
 
 
 @pytest.fixture(scope='module')

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
-from mixtac_events.codec import encode
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import encode
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import FeedStatus, FrameCounter, LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
+from mixtac_core.node.parameters import ParameterError
 from mixtac_fger.parameters import FgerParameters
-from mixtac_node.parameters import ParameterError
 
 
 def test_a_contact_ends_below_the_force_at_which_it_begins():

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import ForceEstimator, warm_up

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from toy_sensor import random_model
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.fger_net import FgerEstimator, with_gain

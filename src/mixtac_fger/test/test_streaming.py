@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError

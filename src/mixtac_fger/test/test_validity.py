@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 from toy_sensor import INTERVAL_US, ToyTrial, toy_trial
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation
 from mixtac_fger.validity import (

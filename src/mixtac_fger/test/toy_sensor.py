@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import ARCHITECTURE, VERSION, FgerConfig, tensor_shapes
 from mixtac_fger.validity import PictureFigures
 from mixtac_fger.weights import Model, ModelCard

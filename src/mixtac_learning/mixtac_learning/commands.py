@@ -9,6 +9,8 @@ from typing import Annotated, List, Optional  # noqa: UP035
 
 import typer
 
+from mixtac_core.node.files import writable
+from mixtac_core.node.topics import REFERENCE
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.train.config import (
     DataConfig,
@@ -18,8 +20,6 @@ from mixtac_learning.train.config import (
     read_run_config,
     with_overrides,
 )
-from mixtac_node.files import writable
-from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.plans import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.

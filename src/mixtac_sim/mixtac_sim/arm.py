@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim import SimulationError
 
 JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mixtac_node import topics
-from mixtac_node.parameters import fixed, parameter
+from mixtac_core.node import topics
+from mixtac_core.node.parameters import fixed, parameter
 from mixtac_sim.world.effects import PRESETS
 from mixtac_sim.world.profiles import PROFILES
 

@@ -11,10 +11,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from mixtac_events.arrays import Floats
-from mixtac_node.base_node import BaseNode, declare, run
-from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
+from mixtac_core.events.arrays import Floats
+from mixtac_core.node.base_node import BaseNode, declare, run
+from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
     JOINT_NAMES,
     READY,

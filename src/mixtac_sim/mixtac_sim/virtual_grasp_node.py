@@ -21,11 +21,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mixtac_events.packets import header_stamp_ns
-from mixtac_node import topics
-from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
-from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
-from mixtac_node.stamps import ns_to_stamp, stamp_to_us
+from mixtac_core.events.packets import header_stamp_ns
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
+from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_core.node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim import SimulationError
 from mixtac_sim.arm import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock

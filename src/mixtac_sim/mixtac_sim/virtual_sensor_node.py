@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import QOS_FORCE, BaseNode, answering, declare, run
+from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
+from mixtac_core.node.stamps import ns_to_stamp
 from mixtac_msgs.srv import Touch
-from mixtac_node import topics
-from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
-from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.stamps import ns_to_stamp
 from mixtac_sim.live.touch import TouchControl
 from mixtac_sim.live.virtual_sensor import SimulationProcess, make_virtual_sensor
 from mixtac_sim.parameters import VirtualSensorParameters

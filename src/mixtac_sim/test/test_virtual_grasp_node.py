@@ -14,8 +14,8 @@ pytest.importorskip('rclpy')
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from std_srvs.srv import Trigger
 
-from mixtac_node.base_node import QOS_FORCE
-from mixtac_node.stamps import stamp_to_ns
+from mixtac_core.node.base_node import QOS_FORCE
+from mixtac_core.node.stamps import stamp_to_ns
 from mixtac_sim.usb.pyusb_backend import SocketLink
 
 pytestmark = pytest.mark.dds

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_slip_control.arm.following import ARM_LAG_S, FollowingWatch
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 
 
 class SlipControlError(MixtacError):

@@ -19,9 +19,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.frames import bin_mean, gradients, log_contrast
-from mixtac_events.windows import WindowSlicer
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.frames import bin_mean, gradients, log_contrast
+from mixtac_core.events.windows import WindowSlicer
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import WINDOW_US, SlipControlParameters
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from mixtac_node.parameters import ParameterError, fixed, parameter, specs
+from mixtac_core.node.parameters import ParameterError, fixed, parameter, specs
 
 STEP: Final = 'step'
 """Name of Mixtac's own law."""

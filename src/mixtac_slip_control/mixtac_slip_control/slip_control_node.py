@@ -22,17 +22,17 @@ from std_msgs.msg import Empty, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from mixtac_events.codec import decode_message, warm_up
-from mixtac_events.errors import MixtacError
-from mixtac_events.frames import PICTURE_KERNELS
-from mixtac_events.packets import CodecError, OwnPacket, read_packet
-from mixtac_events.sequence import SequenceCounter
+from mixtac_core.events.codec import decode_message, warm_up
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.frames import PICTURE_KERNELS
+from mixtac_core.events.packets import CodecError, OwnPacket, read_packet
+from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
+from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
+from mixtac_core.node.images import grey
+from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
-from mixtac_node import topics
-from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
-from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.images import grey
-from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_slip_control.arm.following import MAX_SAG_RAD
 from mixtac_slip_control.arm.model import (
     CONTINUES,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner

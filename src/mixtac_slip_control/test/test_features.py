@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
 from mixtac_slip_control.parameters import SlipControlParameters

@@ -15,7 +15,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.arm import READY, JointTrajectoryController, Trajectory, violations
 from mixtac_slip_control.arm.following import MAX_SAG_RAD
 from mixtac_slip_control.arm.kinematics import SerialArm

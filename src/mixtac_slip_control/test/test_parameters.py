@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mixtac_node.parameters import ParameterError, build, specs
+from mixtac_core.node.parameters import ParameterError, build, specs
 from mixtac_slip_control.parameters import LAWS, SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[3]

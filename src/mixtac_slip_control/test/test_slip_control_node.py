@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
-from mixtac_events.codec import encode
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import encode
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
@@ -36,8 +36,8 @@ class Peer:
         from std_msgs.msg import Empty, Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
+        from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE
         from mixtac_msgs.msg import SlipState
-        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE
 
         self.graph = graph
         make = graph.node.create_publisher

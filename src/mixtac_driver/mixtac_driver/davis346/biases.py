@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from mixtac_node.parameters import parameter
+from mixtac_core.node.parameters import parameter
 
 T = TypeVar('T')
 

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mixtac_core.node.parameters import specs
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.model import Features, Identity
 from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux, SystemInfo
@@ -25,7 +26,6 @@ from mixtac_driver.davis346.writes import (
 )
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.usb.protocol import Protocol, Write
-from mixtac_node.parameters import specs
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from mixtac_core.node.parameters import parameter, specs
 from mixtac_driver.davis346.biases import BiasParameters
 from mixtac_driver.davis346.model import DAVIS346
 from mixtac_driver.errors import ConfigurationError
-from mixtac_node.parameters import parameter, specs
 
 LAST_COLUMN = DAVIS346.width - 1
 """Last column of the pixel array."""

@@ -19,13 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_driver.davis346.model import Geometry
-from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words, drop_items
-from mixtac_driver.decode.state import DecoderCounters, new_buffers
-from mixtac_driver.errors import DriverError
-from mixtac_driver.usb.transport import Gap, Octets
-from mixtac_events.arrays import Events
-from mixtac_events.readings import (
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.readings import (
     NO_EDGES,
     NO_SAMPLES,
     DecodedBatch,
@@ -34,6 +29,11 @@ from mixtac_events.readings import (
     InertialSamples,
     inertial_samples,
 )
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words, drop_items
+from mixtac_driver.decode.state import DecoderCounters, new_buffers
+from mixtac_driver.errors import DriverError
+from mixtac_driver.usb.transport import Gap, Octets
 
 DEFAULT_CAPACITY = 32768
 WORD = np.dtype('<u2')

@@ -10,6 +10,14 @@ from functools import partial
 import numpy as np
 from rclpy.node import Node
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import warm_up
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.readings import Frame, InertialSamples
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import BaseNode, declare, run
+from mixtac_core.node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.publishers import (
@@ -27,14 +35,6 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor
-from mixtac_events.arrays import Events
-from mixtac_events.codec import warm_up
-from mixtac_events.errors import MixtacError
-from mixtac_events.readings import Frame, InertialSamples
-from mixtac_node import topics
-from mixtac_node.base_node import BaseNode, declare, run
-from mixtac_node.diagnostics import DiagnosticsPublisher, Status
-from mixtac_recordings import messages
 
 CLOCK_PERIOD_S = 1.0
 

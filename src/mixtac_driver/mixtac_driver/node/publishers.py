@@ -13,19 +13,19 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.packetizer import Packetizer
+from mixtac_core.events.packets import PacketWriter
+from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.node import topics
+from mixtac_core.node.stamps import us_to_stamp
+from mixtac_core.node.topics import Topic
+from mixtac_core.recordings import messages
 from mixtac_driver.camera_info import CalibratedCamera, CalibrationError
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.status import DriverMeters
 from mixtac_driver.parameters import DeviceParameters, DriverParameters
-from mixtac_events.arrays import Events
-from mixtac_events.errors import MixtacError
-from mixtac_events.packetizer import Packetizer
-from mixtac_events.packets import PacketWriter
-from mixtac_events.readings import Edges, Frame, InertialSamples
-from mixtac_node import topics
-from mixtac_node.stamps import us_to_stamp
-from mixtac_node.topics import Topic
-from mixtac_recordings import messages
 
 
 class EventPublisher:

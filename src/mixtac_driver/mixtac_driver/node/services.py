@@ -14,15 +14,15 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.base_node import answering
+from mixtac_core.node.files import state_file
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
 from mixtac_driver.source import Source
-from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import answering
-from mixtac_node.files import state_file
 
 MARGIN_S = 1.0
 """Additional time allowed for a frame or a count [s]."""

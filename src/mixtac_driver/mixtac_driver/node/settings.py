@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_core.events.readings import Frame
 from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import UsbError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
-from mixtac_events.readings import Frame
 
 Apply = Callable[[DriverParameters, PixelFilter], None]
 FULL_SCALE = 1023

@@ -8,13 +8,13 @@ import math
 import time
 from dataclasses import asdict
 
+from mixtac_core.events.clock_map import ClockEstimate
+from mixtac_core.node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
 from mixtac_driver.camera import SourceStatus
 from mixtac_driver.errors import DriverError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.source import Source, SourceKind, source_kind
 from mixtac_driver.supervisor import State, Supervisor
-from mixtac_events.clock_map import ClockEstimate
-from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
 
 QUIET_S = 5.0
 """Time without data [s] from which a stream that counts as alive is reported nevertheless."""

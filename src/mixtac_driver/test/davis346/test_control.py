@@ -12,11 +12,11 @@ from davis_fake import FakeBackend, FakeCamera
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_node.parameters import ParameterError
 
 
 @pytest.fixture(autouse=True)

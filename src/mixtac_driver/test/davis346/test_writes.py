@@ -9,13 +9,13 @@ from dataclasses import replace
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.biases import DEFAULT_BIASES
 from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_events.errors import MixtacError
-from mixtac_node.parameters import ParameterError
 
 LIBCAER = DriverParameters(
     aps_exposure=4000, background_activity_filter_enabled=True, usb_early_packet_delay=1000

@@ -18,11 +18,11 @@ from event_camera_msgs.msg import EventPacket
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_events.codec import decode_message
+from mixtac_core.events.codec import decode_message
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import QOS_LATCHED, QOS_SENSOR, qos
+from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node import topics
-from mixtac_node.base_node import QOS_LATCHED, QOS_SENSOR, qos
-from mixtac_node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.pyusb_backend import inject
 

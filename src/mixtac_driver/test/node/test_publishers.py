@@ -16,6 +16,12 @@ from davis_fake import FakeBackend, FakeCamera
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import decode_message
+from mixtac_core.events.packets import read_packet
+from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.node import topics
+from mixtac_core.node.stamps import stamp_to_us
 from mixtac_driver.camera import Davis346
 from mixtac_driver.camera_info import CameraCalibration, write_camera_info
 from mixtac_driver.node import publishers as edge_publisher
@@ -29,12 +35,6 @@ from mixtac_driver.node.publishers import (
 )
 from mixtac_driver.node.status import DriverMeters
 from mixtac_driver.parameters import DriverParameters
-from mixtac_events.arrays import Events
-from mixtac_events.codec import decode_message
-from mixtac_events.packets import read_packet
-from mixtac_events.readings import Edges, Frame, InertialSamples
-from mixtac_node import topics
-from mixtac_node.stamps import stamp_to_us
 
 ORIGIN_US = 1_760_000_000_000_000
 

@@ -15,6 +15,8 @@ pytest.importorskip('std_srvs.srv')
 
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.clock import Origin
 from mixtac_driver.node import services as driver_services
@@ -22,8 +24,6 @@ from mixtac_driver.node.services import DriverServices, NextFrame
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
-from mixtac_events.arrays import Events
-from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
 
 pytestmark = pytest.mark.live
 SIZE = (346, 260)

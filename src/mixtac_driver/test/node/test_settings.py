@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mixtac_core.events.readings import Frame
 from mixtac_driver.errors import ConfigurationError, UsbError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, save_mask
-from mixtac_events.readings import Frame
 
 SIZE = (346, 260)
 AUTO = replace(DriverParameters(), aps_auto_exposure=True)

@@ -14,6 +14,8 @@ pytest.importorskip('diagnostic_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.events.clock_map import ClockMap
+from mixtac_core.node.diagnostics import ERROR, OK, WARN
 from mixtac_driver.camera import Davis346
 from mixtac_driver.clock import Origin
 from mixtac_driver.node.settings import DriverSettings
@@ -21,8 +23,6 @@ from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask
 from mixtac_driver.supervisor import State
-from mixtac_events.clock_map import ClockMap
-from mixtac_node.diagnostics import ERROR, OK, WARN
 
 
 @pytest.fixture

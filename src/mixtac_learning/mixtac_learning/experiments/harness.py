@@ -24,14 +24,14 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import read_data, structure, write_json, write_text
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_learning.commands import JsonFile, OptionalPath
 from mixtac_learning.experiments import EXPERIMENTS
 from mixtac_learning.experiments.store import Piece, compute
 from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig
-from mixtac_node.files import read_data, structure, write_json, write_text
-from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.plans import simulator_digest
 
 PRESET = 'paper_like'

@@ -22,6 +22,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac_core.node.files import write_json, write_text
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import read_model
 from mixtac_learning.commands import JsonFile
@@ -65,7 +66,6 @@ from mixtac_learning.trials.trial import (
     TrialArrays,
     TrialSource,
 )
-from mixtac_node.files import write_json, write_text
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import TrialSpec, session_plan
 

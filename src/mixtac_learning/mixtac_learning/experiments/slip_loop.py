@@ -18,7 +18,8 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
+from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.force_calibration import (
@@ -35,7 +36,6 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.trials.trial import SimulatedSource
-from mixtac_recordings.messages import left_aligned
 from mixtac_sim.arm import (
     READY,
     TRACKING_LAG_S,

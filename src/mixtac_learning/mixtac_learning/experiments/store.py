@@ -19,7 +19,7 @@ from typing import Any
 
 import joblib
 
-from mixtac_node.files import write_json
+from mixtac_core.node.files import write_json
 
 
 @functools.cache

@@ -18,6 +18,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import torch
 
+from mixtac_core.recordings.bag import fit_path
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.weights import read_model, save_model
 from mixtac_learning.experiments.harness import (
     PRESET,
@@ -37,8 +39,6 @@ from mixtac_learning.train.run import recipe_of, train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.store import CachedSource, Recipe, prepare
 from mixtac_learning.trials.trial import SimulatedSource, TrialSource
-from mixtac_recordings.bag import fit_path
-from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.plans import TrialSpec, training_plan
 
 
@@ -77,10 +77,10 @@ SHARE_TESTED = 5
 CHECKED = 1 / 8
 """Part of the training trials that the best weights are chosen by."""
 LEARNING_CODE = (
-    'mixtac_events',
+    'mixtac_core.events',
     'mixtac_fger',
-    'mixtac_recordings',
-    'mixtac_alignment',
+    'mixtac_core.recordings',
+    'mixtac_fger.alignment',
     'mixtac_sim',
     *(f'mixtac_learning.{part}' for part in ('judge', 'network', 'paper', 'train', 'trials')),
 )

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
@@ -205,7 +205,7 @@ def vibration(context: Context) -> Outcome:
             f'shake_{kind}_{tone:g}hz_{1e3 * size:g}um_s{seed}',
             _shaken_spectra,
             (kind, tone, size, seed),
-            ('mixtac_events', 'mixtac_sim'),
+            ('mixtac_core.events', 'mixtac_sim'),
         )
         for kind, tone, size, seed in cases
     ]

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from mixtac_events.arrays import Events
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.fger_net import (
     CALIBRATED_DEVIATION,
@@ -39,7 +40,6 @@ from mixtac_learning.trials.trial import (
     sensor_of,
     window_ends,
 )
-from mixtac_recordings.messages import left_aligned
 
 
 @dataclass(frozen=True, slots=True, eq=False)

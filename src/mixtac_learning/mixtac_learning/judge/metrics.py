@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 from mixtac_learning.trials.trial import DatasetError
 
 

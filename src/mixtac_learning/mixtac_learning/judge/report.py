@@ -17,6 +17,9 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
+from mixtac_core.node.files import FileError, replacing, write_json
+from mixtac_core.node.topics import REFERENCE
+from mixtac_core.recordings.bag import distinct_names
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import Model, read_model
 from mixtac_learning.judge.estimators import (
@@ -38,9 +41,6 @@ from mixtac_learning.judge.metrics import (
 )
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource
-from mixtac_node.files import FileError, replacing, write_json
-from mixtac_node.topics import REFERENCE
-from mixtac_recordings.bag import distinct_names
 from mixtac_sim.world.plans import (
     TRAINING_PRESET,
     TrialSpec,

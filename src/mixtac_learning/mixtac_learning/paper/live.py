@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mixtac_events.arrays import Events
-from mixtac_events.frames import bin_mean
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.frames import bin_mean
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import ImageError
 from mixtac_fger.weights import Model

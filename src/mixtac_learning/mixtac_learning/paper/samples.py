@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.frames import bin_mean, displacement, log_contrast
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.frames import bin_mean, displacement, log_contrast
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, PaperState, SegmentBatch

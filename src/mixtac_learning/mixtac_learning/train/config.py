@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mixtac_core.node.files import FileError, read_dataclass
+from mixtac_core.node.share import share
+from mixtac_core.node.topics import REFERENCE
 from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
-from mixtac_node.files import FileError, read_dataclass
-from mixtac_node.share import share
-from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.plans import TRAINING_PRESET
 
 

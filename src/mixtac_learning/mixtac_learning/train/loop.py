@@ -25,7 +25,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 from mixtac_fger.weights import read_tensors, write_tensors
 
 PATIENCE = timedelta(days=7)

@@ -15,7 +15,8 @@ import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import write_json
 from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.weights import Model, ModelCard, save_model
 from mixtac_learning.judge.estimators import trial_estimator
@@ -39,7 +40,6 @@ from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.store import prepare
 from mixtac_learning.trials.trial import SimulatedSource, TrialSource, sensor_of
-from mixtac_node.files import write_json
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
     TRAINING_PROFILES,

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_alignment.clock_fit import ClockFit
-from mixtac_events.arrays import Events
-from mixtac_events.readings import Frame
-from mixtac_events.sequence import JUMP_US
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.readings import Frame
+from mixtac_core.events.sequence import JUMP_US
+from mixtac_core.node.topics import REFERENCE
+from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_learning.trials.trial import AcrossLabel, DatasetError, ForceLabel, TrialArrays
-from mixtac_node.topics import REFERENCE
 
 
 def label_on_camera_clock(
@@ -100,10 +100,10 @@ def read_forces(
         DatasetError: It has neither a true force nor a reference that can be aligned.
         AlignmentError: A clock fit beside it or inside is damaged.
     """
-    from mixtac_alignment.bags import read_fit
-    from mixtac_node.stamps import stamp_to_ns
-    from mixtac_recordings.bag import BagFile, fit_path
-    from mixtac_recordings.recording import DamagedRecordingError
+    from mixtac_core.node.stamps import stamp_to_ns
+    from mixtac_core.recordings.bag import BagFile, fit_path
+    from mixtac_core.recordings.recording import DamagedRecordingError
+    from mixtac_fger.alignment.bags import read_fit
 
     rows: dict[bool, list[tuple[float, ...]]] = {False: [], True: []}
     stamps: dict[bool, list[int]] = {False: [], True: []}
@@ -179,7 +179,7 @@ class BagSource:
         Raises:
             RecordingError: Nothing of it can be read.
         """
-        from mixtac_recordings.bag import BagFile
+        from mixtac_core.recordings.bag import BagFile
 
         with BagFile(self.path) as bag:
             return bag.damage
@@ -200,7 +200,7 @@ class BagSource:
         Raises:
             DatasetError: They cannot be read.
         """
-        from mixtac_recordings.bag import fit_path
+        from mixtac_core.recordings.bag import fit_path
 
         digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
         digest.update(json.dumps(self.described, sort_keys=True, default=str).encode())
@@ -252,8 +252,8 @@ class BagSource:
 
 def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], list[tuple[int, int]]]:
     """Return events, frames with their arrival, and gaps between packets [us, camera clock]."""
-    from mixtac_recordings.camera_stream import BagRecording
-    from mixtac_recordings.recording import NONE, Selection
+    from mixtac_core.recordings.camera_stream import BagRecording
+    from mixtac_core.recordings.recording import NONE, Selection
 
     recording = BagRecording(path, Selection(imu=NONE))
     parts: list[Events] = []
@@ -295,8 +295,8 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     Raises:
         DatasetError: There are none.
     """
-    from mixtac_recordings.bag import find_bags
-    from mixtac_recordings.dataset import described_trial, folder_facts
+    from mixtac_core.recordings.bag import find_bags
+    from mixtac_core.recordings.dataset import described_trial, folder_facts
 
     bags = find_bags(folder)
     if not bags:
@@ -313,7 +313,7 @@ def _known(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _inside(bag: Path) -> dict[str, Any]:
-    from mixtac_recordings.bag import custom_data
+    from mixtac_core.recordings.bag import custom_data
 
     try:
         return dict(json.loads(custom_data(bag)['mixtac.trial']))

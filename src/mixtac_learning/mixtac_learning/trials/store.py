@@ -15,8 +15,9 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import FileError, new_folder
 from mixtac_learning.trials.trial import (
     DatasetError,
     DerivedSource,
@@ -24,7 +25,6 @@ from mixtac_learning.trials.trial import (
     TrialArrays,
     TrialSource,
 )
-from mixtac_node.files import FileError, new_folder
 
 _FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
 _EVENTS = ('events_t', 'events_x', 'events_y', 'events_polarity')

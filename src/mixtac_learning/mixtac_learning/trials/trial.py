@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import truth_wrench

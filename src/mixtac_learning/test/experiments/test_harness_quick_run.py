@@ -11,10 +11,10 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_learning.experiments import harness, store, vibration
 from mixtac_learning.experiments.harness import QUICK, run_experiments, select
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
-from mixtac_recordings.recording import RecordingError
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 TINY = replace(

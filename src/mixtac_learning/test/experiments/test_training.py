@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_learning.experiments.harness import FULL
 from mixtac_learning.experiments.training import (
     PROFILES,
@@ -18,7 +19,6 @@ from mixtac_learning.experiments.training import (
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.run import training_sources
-from mixtac_recordings.recording import RecordingError
 
 
 def test_simulated_tests_are_other_days_of_the_sensor_that_was_trained_on():

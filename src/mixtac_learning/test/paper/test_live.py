@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.features import ImageError
 from mixtac_fger.reference import TareError

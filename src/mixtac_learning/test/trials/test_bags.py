@@ -11,9 +11,12 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from mixtac_alignment.bags import write_fit
-from mixtac_alignment.clock_fit import Anchor, fit_clock
-from mixtac_alignment.errors import AlignmentError
+from mixtac_core.recordings.bag import BagFile
+from mixtac_core.recordings.dataset import TrialSpec
+from mixtac_core.recordings.recording import RecordingError
+from mixtac_fger.alignment.bags import write_fit
+from mixtac_fger.alignment.clock_fit import Anchor, fit_clock
+from mixtac_fger.alignment.errors import AlignmentError
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.trials.bags import (
     BagSource,
@@ -23,9 +26,6 @@ from mixtac_learning.trials.bags import (
 from mixtac_learning.trials.samples import FgerRecipe, load_sample
 from mixtac_learning.trials.store import prepare
 from mixtac_learning.trials.trial import DatasetError
-from mixtac_recordings.bag import BagFile
-from mixtac_recordings.dataset import TrialSpec
-from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.world.trial import simulate_trial
 

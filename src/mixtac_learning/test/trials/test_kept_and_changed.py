@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
+from mixtac_core.node.files import FileError
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.samples import event_counts, packet_points
 from mixtac_learning.trials.store import CachedSource
@@ -22,7 +23,6 @@ from mixtac_learning.trials.trial import (
     ForceLabel,
     TrialArrays,
 )
-from mixtac_node.files import FileError
 
 
 @pytest.fixture

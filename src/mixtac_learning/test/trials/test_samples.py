@@ -13,7 +13,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample

@@ -20,13 +20,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_events.clock_map import ClockMap
-from mixtac_events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
-from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
-from mixtac_node.topics import CAMERA_FRAME, IMU, IMU_FRAME
-from mixtac_recordings import messages
-from mixtac_recordings.bag import blank_message, typestore
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.clock_map import ClockMap
+from mixtac_core.events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
+from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_core.node.topics import CAMERA_FRAME, IMU, IMU_FRAME
+from mixtac_core.recordings import messages
+from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.stream import Oscillator
@@ -99,7 +99,7 @@ _STAMP_AT = 4
 
 
 def serialised(message: Any) -> bytes:  # noqa: ANN401
-    """Return a message of `mixtac_recordings.bag.blank_message` in CDR."""
+    """Return a message of `mixtac_core.recordings.bag.blank_message` in CDR."""
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 

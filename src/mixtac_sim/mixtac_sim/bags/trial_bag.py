@@ -20,13 +20,13 @@ import joblib
 import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from mixtac_node import topics
-from mixtac_node.files import locked
-from mixtac_node.topics import Topic
-from mixtac_recordings.bag import blank_message
-from mixtac_recordings.bag_writer import McapBag
-from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
-from mixtac_recordings.recording import RecordingError
+from mixtac_core.node import topics
+from mixtac_core.node.files import locked
+from mixtac_core.node.topics import Topic
+from mixtac_core.recordings.bag import blank_message
+from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_sim.bags.camera import (
     NS,
     BagMessage,

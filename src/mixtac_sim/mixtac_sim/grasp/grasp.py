@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events, Floats
+from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup, ObjectMotion
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mixtac_events.arrays import Events, Floats
+from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US

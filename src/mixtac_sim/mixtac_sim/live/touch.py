@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
-from mixtac_node.parameters import build, parameter
+from mixtac_core.node.parameters import build, parameter
 from mixtac_sim import SimulationError
 from mixtac_sim.live.virtual_sensor import VirtualSensor
 from mixtac_sim.mechanics.contact import GRAVITY, Mode

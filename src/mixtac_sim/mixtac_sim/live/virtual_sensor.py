@@ -29,7 +29,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_node.process import lower_priority
+from mixtac_core.node.process import lower_priority
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS, Indenter
 from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings

@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
 
 IndenterName = Literal[

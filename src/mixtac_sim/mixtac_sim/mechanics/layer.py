@@ -41,7 +41,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import j0, j1, jv, spherical_jn
 from threadpoolctl import threadpool_limits
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim import SimulationError
 
 ALPHA = np.concatenate([np.linspace(0.02, 0.3, 15), np.linspace(0.35, 2.5, 44)])

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import ContactPath, PronySeries, force_terms, relax
 from mixtac_sim.mechanics.elastomer import Shear

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, sheared_area
 from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import HEIGHT, PADDED, TILE, TILES, WIDTH
 from mixtac_sim.optics.beads import SAG_MM
 from mixtac_sim.optics.scene import Lens, Lighting, build_sagging

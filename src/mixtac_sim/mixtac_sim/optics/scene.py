@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PITCH_MM, PIXELS, STEP_US, WIDTH, stream
 
 SILICONE_INDEX = 1.41

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.grids import PADDED, PIXELS, WIDTH, BlockStreams
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 

@@ -18,7 +18,7 @@ from errno import EBUSY, EINVAL, EIO, ENODEV, EOVERFLOW, EPIPE, ETIMEDOUT
 from threading import Condition
 from typing import Final
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 
 
 class VirtualUsbError(MixtacError):

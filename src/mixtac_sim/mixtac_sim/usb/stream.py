@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.registers import (

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 
 TIMESTAMP_RESET_WORD: Final = 0x0001

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mixtac_events.arrays import Events, Floats
+from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim.grids import PIXELS, STEP_US, BlockStreams, cut_block, stream
 from mixtac_sim.optics.renderer import MeshMotion, Renderer
 from mixtac_sim.optics.scene import Flicker

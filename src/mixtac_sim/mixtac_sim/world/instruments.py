@@ -23,7 +23,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import STEP_US, log_uniform, stream
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.usb.words import ImuReading

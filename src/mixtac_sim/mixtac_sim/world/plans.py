@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 
-from mixtac_recordings import dataset
+from mixtac_core.recordings import dataset
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import stream
 from mixtac_sim.world.device import draw_conditions, draw_device

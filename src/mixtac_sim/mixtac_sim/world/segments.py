@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Floats
+from mixtac_core.events.arrays import Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode

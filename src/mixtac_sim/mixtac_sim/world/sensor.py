@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events, Floats
+from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law

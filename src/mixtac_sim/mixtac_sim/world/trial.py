@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_recordings.dataset import TrialSpec
+from mixtac_core.events.arrays import Events
+from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.device import draw_conditions

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import pytest
 
-from mixtac_recordings.dataset import DatasetDescription
-from mixtac_recordings.recording import RecordingError
+from mixtac_core.recordings.dataset import DatasetDescription
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_sim import SimulationError
 from mixtac_sim.bags import trial_bag
 from mixtac_sim.bags.trial_bag import UNFINISHED, generate, is_finished, write_trial

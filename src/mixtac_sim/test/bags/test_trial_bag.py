@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
+from mixtac_core.events.codec import decode
+from mixtac_core.recordings.bag import BagFile
+from mixtac_core.recordings.dataset import TrialSpec
+from mixtac_core.recordings.summary import summarise
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_events.codec import decode
-from mixtac_recordings.bag import BagFile
-from mixtac_recordings.dataset import TrialSpec
-from mixtac_recordings.summary import summarise
 from mixtac_sim.bags.camera import TrialClocks
 from mixtac_sim.bags.trial_bag import BAG_TOPICS, is_finished, trial_messages, write_trial
 from mixtac_sim.usb.device import VirtualDavis346
@@ -146,7 +146,7 @@ def test_messages_are_byte_for_byte_those_of_the_driver(folder, decoded):
     pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
     from rclpy.serialization import serialize_message
 
-    from mixtac_recordings import messages
+    from mixtac_core.recordings import messages
 
     origin = TrialClocks(SPEC.trial_seed).origin_us
     frame, samples = decoded[1][0], decoded[2][0]
@@ -168,7 +168,7 @@ def test_messages_are_what_ros_makes_of_their_own_content(folder):
     pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from mixtac_node.topics import message_class
+    from mixtac_core.node.topics import message_class
 
     found = first_messages(folder)
     assert set(found) == {each.resolved('mixtac') for each in BAG_TOPICS}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_node.parameters import specs
+from mixtac_core.node.parameters import specs
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.grasp import Grasp, hold
 from mixtac_sim.grasp.objects import (

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 from mixtac_sim import SimulationError
 from mixtac_sim.live import touch as live_gestures
 from mixtac_sim.live.touch import ENDLESS_S, LARGEST_N, TouchControl

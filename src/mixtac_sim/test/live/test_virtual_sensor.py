@@ -13,7 +13,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim import SimulationError
 from mixtac_sim.live import touch
 from mixtac_sim.live.virtual_sensor import SimulationClock, SimulationProcess, VirtualSensor

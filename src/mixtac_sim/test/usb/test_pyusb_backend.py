@@ -21,7 +21,7 @@ import pytest
 import usb.core
 import usb.util
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import NoVirtualSensorError, VirtualUsbError

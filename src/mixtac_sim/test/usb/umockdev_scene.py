@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.usb.words import ImuReading
 
 DURATION_US = 1_000_000

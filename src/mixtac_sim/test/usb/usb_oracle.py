@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mixtac_events.arrays import Events
+from mixtac_core.events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 

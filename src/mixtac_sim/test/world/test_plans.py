@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
+from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.plans import DATASETS, describe, plan_dataset, plan_profile, split_groups

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_recordings.dataset import TrialSpec
+from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_sim.world import plans
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.plans import session_plan

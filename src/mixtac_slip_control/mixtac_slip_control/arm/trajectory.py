@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.packets import CDR_LITTLE_ENDIAN
+from mixtac_core.events.packets import CDR_LITTLE_ENDIAN
 from mixtac_slip_control.arm.kinematics import SerialArm
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from mixtac_events.errors import MixtacError
+from mixtac_core.events.errors import MixtacError
 from mixtac_slip_control.arm.kinematics import SerialArm, fr3_urdf
 from mixtac_slip_control.arm.model import (
     TrajectoryBackend,

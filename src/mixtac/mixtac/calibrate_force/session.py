@@ -1,0 +1,414 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Plateaus of known loads, from a recording or on a live sensor, for `mixtac calibrate-force`.
+
+`mixtac_fger.force_calibration` defines what a plateau is, and refuses those that cannot be used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from mixtac.monitor_node import Monitor
+from mixtac.up import start_nodes
+from mixtac_core.node.graph import is_virtual, sensor_graph
+from mixtac_core.node.process import GraphError, ProcessGroup
+from mixtac_core.recordings.recording import Recording
+from mixtac_fger.estimator import open_estimator
+from mixtac_fger.force_calibration import (
+    PRESS,
+    PULL,
+    ForceCalibrationError,
+    Kind,
+    Load,
+    Plateau,
+    Stretch,
+    find_plateaus,
+    last_contact,
+    plateau_of,
+    reference_loads,
+    steady_stretches,
+    unsteady,
+)
+from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
+from mixtac_fger.weights import Model
+
+F64 = NDArray[np.float64]
+T = TypeVar('T')
+
+
+@dataclass
+class Session:
+    """What a calibration has found.
+
+    Attributes:
+        t_s: Times of the force series [s].
+        force_n: Estimates before the calibration [N].
+        loads: Known loads.
+        plateaus: Plateau of each load.
+        pull_loads: Known pulls aside.
+        pulls: Plateau of each pull.
+        serial: Serial number of the camera, empty while unknown.
+        known_by: `weights`, `scale` or `reference`.
+        doubts: Warnings for the user.
+    """
+
+    t_s: F64 = field(default_factory=lambda: np.zeros(0))
+    force_n: F64 = field(default_factory=lambda: np.zeros(0))
+    loads: Sequence[Load] = ()
+    plateaus: list[Plateau] = field(default_factory=list)
+    pull_loads: Sequence[Load] = ()
+    pulls: list[Plateau] = field(default_factory=list)
+    serial: str = ''
+    known_by: str = 'weights'
+    doubts: list[str] = field(default_factory=list)
+
+    def measure(self, t_s: F64, reference_n: F64) -> None:
+        """Take the loads from a reference sensor: times [s] and forces [N] [T, 3], normal first."""
+        self.known_by = 'reference'
+        self.loads = reference_loads(t_s, reference_n[:, :1], self.plateaus)
+        self.pull_loads = reference_loads(t_s, reference_n[:, 1:], self.pulls)
+
+
+def from_bag(
+    path: Path, model: Model, loads: Sequence[Load], reference: str, pulls: Sequence[Load] = ()
+) -> Session:
+    """Return the plateaus of a recording of the procedure.
+
+    Args:
+        path: Bag or AEDAT4 file that begins and ends without a load.
+        model: Model that estimates its forces.
+        loads: Loads in their order.
+        reference: Topic of a reference force to use instead if the bag has it; empty for none.
+        pulls: Pulls aside in their order, all in the last contact; empty for none.
+
+    Raises:
+        MixtacError: The recording cannot be read, or the sensor cannot be calibrated by it.
+    """
+    from mixtac_core.recordings.camera_stream import open_recording
+
+    with closing(open_recording(path)) as recording:
+        t_us, forces, doubts = estimated(recording, model)
+    if not len(t_us):
+        raise ForceCalibrationError(
+            f'{path} gives no force: it begins in contact, or has no frames',
+            'contact',
+            'record events and frames, and begin with a second without a load',
+        )
+    t_s = 1e-6 * (t_us - t_us[0])
+    session = Session(t_s, forces[:, 0], loads, pull_loads=pulls, doubts=doubts)
+    measured = None
+    if path.is_dir() or path.suffix in {'.mcap', '.db3'}:
+        session.serial, measured = _bag_facts(path, recording, int(t_us[0]), reference)
+    last = len(t_s)
+    if pulls:
+        last, contact = last_contact(t_s, session.force_n)
+        aside = forces[contact, 1] + 1j * forces[contact, 2]
+        session.pulls = find_plateaus(t_s[contact], aside, len(pulls), PULL)
+    count = len(loads) if measured is None else None
+    session.plateaus = find_plateaus(t_s[:last], session.force_n[:last], count)
+    if measured is not None:
+        session.measure(*measured)
+    return session
+
+
+UNUSABLE: Final = {Reason.ZERO_UNKNOWN, Reason.OTHER_CAMERA, Reason.FRAME_FROZEN, Reason.STALE}
+"""Estimates with one of these reasons do not show the force of their moment. All others are used:
+loads that disagree, or a zero that does not return, reveal a wrong one."""
+DOUBTED_SHARE: Final = 0.1
+"""Share of other estimates that are not valid, above which the user is warned."""
+
+
+def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64, list[str]]:
+    """Return window ends [us, recorded camera clock], estimates of a recording, and warnings.
+
+    Estimates are the normal force, and that along x and y, NaN where it is unknown [N], [T, 3].
+    """
+    from mixtac_core.recordings.messages import left_aligned
+
+    # A recording for a calibration begins without a load.
+    estimator = ForceEstimator(open_estimator(model), assume_free=True)
+    rows: list[tuple[float, ...]] = []
+    reasons: Counter[Reason] = Counter()
+    for piece in recording.pieces(recording.info.start_us):
+        for frame in piece.frames:
+            image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
+            estimator.push_frame(image, frame.middle_us)
+        if piece.advances:
+            for each in estimator.push_events(piece.events, piece.until_us):
+                reasons[each.reason] += 1
+                if each.reason not in UNUSABLE:
+                    x, y = (np.nan, np.nan) if each.shear is None else each.shear[:2]
+                    rows.append((each.end_us, each.force, x, y))
+    doubts = [
+        f'{count / reasons.total():.0%} of the forces were not valid: {reason.text}'
+        for reason, count in reasons.most_common()
+        if reason is not Reason.TRUSTED and count > DOUBTED_SHARE * reasons.total()
+    ]
+    table = np.array(rows, np.float64).reshape(-1, 4)
+    return table[:, 0].astype(np.int64), table[:, 1:], doubts
+
+
+def _bag_facts(
+    path: Path, recording: Recording, start_us: int, reference: str
+) -> tuple[str, tuple[F64, F64] | None]:
+    """Return the camera's serial number, and times [s] and forces [N] of the reference, if any.
+
+    Forces are the normal one, x and y, [T, 3].
+    """
+    from mixtac_core.node.topics import CAMERA_CLOCK, normal_force, sideways_force
+    from mixtac_core.recordings.bag import BagFile
+
+    with BagFile(path) as bag:
+        clocks = bag.topics(CAMERA_CLOCK.type_name)
+        serial = next(bag.messages(clocks[0]))[2].source if clocks else ''
+        if not reference or not bag.counts.get(reference):
+            return serial, None
+        _, leader = recording.info.contents[0]
+        _, received_ns, _ = next(bag.messages(leader))
+        # Plateaus last seconds: the first packet's delay and the clocks' drift do not matter.
+        begin_ns = received_ns + 1000 * (start_us - recording.info.start_us)
+        rows = [
+            (ns - begin_ns, normal_force(m), *sideways_force(m))
+            for _, ns, m in bag.messages(reference)
+        ]
+    table = np.array(rows, np.float64)
+    return serial, (1e-9 * table[:, 0], table[:, 1:])
+
+
+HOLD_S: Final = 1.2
+"""Shortest plateau on a live sensor [s]."""
+STILL_N: Final = 0.04
+"""Largest standard deviation of a sensor that nobody touches [N]."""
+RECENT_S: Final = 6.0
+"""Forces before this time are not used [s]: the load was still being put on."""
+PATIENCE_S: Final = 60.0
+"""Longest time for each step [s, sensor time]."""
+SILENCE_S: Final = 60.0
+"""Time without a force after which the sensor counts as dead [s]."""
+SESSION_S: Final = 1200.0
+"""Longest procedure [s]."""
+POLL_S: Final = 0.1
+"""Time between two looks at the forces [s]."""
+
+
+def run_live(
+    console: Console,
+    namespace: str,
+    device: str,
+    model: Path,
+    params_file: Path | None,
+    *procedure: Any,  # noqa: ANN401
+) -> Session:
+    """Start a sensor, lead through the loads, stop the sensor.
+
+    Args:
+        console: Where to prompt.
+        namespace: ROS namespace of the sensor.
+        device: As for `mixtac up`.
+        model: Weight file of the estimator.
+        params_file: Parameter file of the nodes.
+        procedure: Arguments of `LiveProcedure.lead`.
+
+    Raises:
+        ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+        GraphError: A node failed.
+    """
+    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
+    # forces that are not valid count, as in a recording: loads reveal wrong ones.
+    estimator: dict[str, Any] = {'model': str(model.resolve()), 'assume_free': True}
+    estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
+    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
+    nodes = sensor_graph(device, estimator=estimator)
+    console.print('starting the sensor; a first start compiles for some minutes')
+    with ProcessGroup() as processes, Monitor(namespace, SESSION_S) as monitor:
+        start_nodes(processes, nodes, namespace, params_file, 'warn')
+        monitor.bring_up_all(nodes, processes)
+        monitor.listen()
+        monitor.wait_for_force(processes.check)
+        live = LiveProcedure(console, processes, monitor, virtual=is_virtual(device))
+        return live.lead(*procedure)
+
+
+class LiveProcedure:
+    """Leads through the loads on a running sensor.
+
+    Args:
+        console: Where to prompt.
+        processes: The nodes of the sensor.
+        monitor: Listens to it.
+        virtual: It is a virtual sensor.
+    """
+
+    def __init__(
+        self, console: Console, processes: ProcessGroup, monitor: Monitor, *, virtual: bool
+    ) -> None:
+        self._console, self._check, self._monitor = console, processes.check, monitor
+        self._virtual = virtual
+        self._drives = False
+        self._begin = 0
+
+    def lead(
+        self,
+        loads: Sequence[Load],
+        pulls: Sequence[Load] = (),
+        known: bool = True,
+        scale: bool = False,
+        yes: bool = True,
+    ) -> Session:
+        """Prompt for one load after the other, and return their plateaus.
+
+        Args:
+            loads: Loads to ask for.
+            pulls: Pulls aside to ask for afterwards, under the largest of the loads.
+            known: Use these loads even where a reference sensor measures them.
+            scale: A kitchen scale shows the load.
+            yes: Do not wait for the Enter key; operate the virtual sensor.
+
+        Raises:
+            ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+            GraphError: A node failed.
+        """
+        self._drives = yes and self._virtual
+        session = Session(loads=loads, pull_loads=pulls)
+        rest = self._tare(yes=yes)
+        how = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
+        for load in loads:
+            prompt, settings = how.format(load.grams), {'force': load.force_n}
+            under = self._under(load, rest, PRESS, prompt, 'press', settings)
+            self._console.print('Take it off, and do not touch the sensor.')
+            self._operate('release')
+            rest = self._off(session.plateaus, under, rest, PRESS)
+        if pulls:
+            press = max(loads, key=lambda load: load.force_n)
+            # A contact that a pull holds at nothing is free to move aside.
+            pull = {'force': press.force_n, 'pull_direction': 0.0, 'pull': 0.0}
+            self._under(press, rest, PRESS, how.format(press.grams), 'pull', pull)
+            aside = self._wait('rest', PULL, lambda stretch: stretch)
+            for load in pulls:
+                prompt, settings = (
+                    f'Pull it aside with {load.grams:g} g',
+                    {'pull': load.force_n},
+                )
+                under = self._under(load, aside, PULL, prompt, 'pull', pull | settings)
+                self._console.print('Take the mass off its thread; leave what presses on the gel.')
+                self._operate('pull', pull)
+                aside = self._off(session.pulls, under, aside, PULL)
+            self._console.print('Take everything off.')
+            self._operate('release')
+        session.t_s, session.force_n = self._series(PRESS)
+        session.serial = self._monitor.serial
+        if not known and self._monitor.reference_count > 0:
+            session.measure(*self._reference())
+        return session
+
+    def _tare(self, *, yes: bool) -> Stretch:
+        self._console.print('Take everything off the gel and leave the sensor alone.')
+        if not yes:
+            try:
+                self._console.input('Press Enter when it is free ...')
+            except EOFError as error:
+                raise GraphError('there is no Enter key here', remedy='give --yes') from error
+        self._wait('still and free', PRESS, _still)
+        self._monitor.trigger('fger/tare', self._check)
+        # The estimate starts over: earlier forces belong to another zero.
+        self._begin = self._monitor.force_count
+        return self._wait('zero', PRESS, _still)
+
+    def _under(
+        self,
+        load: Load,
+        rest: Stretch,
+        kind: Kind,
+        prompt: str,
+        gesture: str,
+        settings: dict[str, float],
+    ) -> Plateau:
+        """Ask for a load and return its plateau, measured from the rest before."""
+        self._console.print(f'{prompt}, and keep still.')
+        self._operate(gesture, settings)
+
+        def plateau(stretch: Stretch) -> Plateau | None:
+            found = plateau_of(stretch, rest, None, kind)
+            return found if stretch.seconds >= HOLD_S else None
+
+        found = self._wait(f'{load.grams:g} g', kind, plateau)
+        self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N')
+        return found
+
+    def _off(self, plateaus: list[Plateau], under: Plateau, rest: Stretch, kind: Kind) -> Stretch:
+        """Add a plateau, measured from the rest before and after it; return the latter."""
+        full = self._wait('rest', kind, lambda after: plateau_of(under.span, rest, after, kind))
+        plateaus.append(full)
+        return full.rests[-1]
+
+    def _operate(self, gesture: str, settings: dict[str, float] | None = None) -> None:
+        """Let the virtual sensor make a gesture, where it is operated."""
+        if self._drives:
+            self._monitor.touch(gesture, self._check, hold=0.0, **(settings or {}))
+
+    def _wait(self, what: str, kind: Kind, find: Callable[[Stretch], T | None]) -> T:
+        """Wait until `find` accepts a steady stretch from now on, and show the force meanwhile.
+
+        Raises:
+            ForceCalibrationError: None was accepted in time.
+            GraphError: No force arrives for `SILENCE_S`.
+        """
+        first = seen = self._monitor.force_count
+        heard = time.monotonic()
+        with self._console.status(what) as status:
+            while True:
+                time.sleep(POLL_S)
+                self._check()
+                count = self._monitor.force_count
+                if count > seen:
+                    heard, seen = time.monotonic(), count
+                elif time.monotonic() - heard > SILENCE_S:
+                    raise GraphError(f'no force for {SILENCE_S:.0f} s while waiting for {what}')
+                if seen - first < 2:
+                    continue
+                t_s, series = (each[first - self._begin :] for each in self._series(kind))
+                recent = t_s > t_s[-1] - RECENT_S
+                refused = None
+                for stretch in steady_stretches(t_s[recent], series[recent]):
+                    try:
+                        if (found := find(stretch)) is not None:
+                            return found
+                    except ForceCalibrationError as error:
+                        refused = error
+                left_s = PATIENCE_S - (t_s[-1] - t_s[0])
+                status.update(f'{what}: {series[-50:].mean():.3f} N, {left_s:3.0f} s left')
+                if left_s < 0.0:
+                    raise refused or unsteady(t_s, series, (), kind)
+
+    def _series(self, kind: Kind) -> tuple[F64, NDArray[Any]]:
+        """Return times [s, sensor time] and forces [N] since the sensor was tared."""
+        _, stamps, force = self._monitor.force()
+        series: NDArray[Any] = force
+        if kind is PULL:
+            series = self._monitor.sideways()[: len(force)] @ np.array([1.0, 1.0j])
+        return 1e-9 * (stamps[self._begin :] - stamps[0]), series[self._begin :]
+
+    def _reference(self) -> tuple[F64, F64]:
+        """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
+        arrival, stamps, _ = self._monitor.force()
+        times, normal = self._monitor.reference()
+        # What arrived together belongs together.
+        t_s = 1e-9 * np.interp(times - arrival[0], arrival - arrival[0], stamps - stamps[0])
+        across = self._monitor.reference_sideways()[: len(times)]
+        return t_s, np.column_stack([normal, across])
+
+
+def _still(stretch: Stretch) -> Stretch | None:
+    return stretch if stretch.sd_n < STILL_N else None

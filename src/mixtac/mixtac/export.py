@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac export | import | inspect | repair`: recordings as other files, and their contents."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mixtac.figures import make_table
+from mixtac.options import OptionalPath, Split
+from mixtac_core.node.topics import REFERENCE
+from mixtac_core.recordings.bag_writer import repair as repair_bag
+from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
+from mixtac_core.recordings.export import Counts, export_recording
+from mixtac_core.recordings.importing import TableOptions, import_recording
+from mixtac_core.recordings.recording import (
+    AEDAT4_SUFFIX,
+    DamagedRecordingError,
+    RecordingError,
+    Selection,
+)
+from mixtac_core.recordings.summary import summarise
+from mixtac_fger.alignment.bags import write_fit
+from mixtac_fger.alignment.clock_fit import ClockFit
+
+EventsOf = Annotated[
+    str,
+    typer.Option(
+        '--events',
+        help='Topic of events, where there are several; camera of an AEDAT4 file; group of an HDF5'
+        ' file. none leaves events out.',
+    ),
+]
+ImageOf = Annotated[str, typer.Option('--image', help='Topic of frames; none leaves them out.')]
+ImuOf = Annotated[
+    str, typer.Option('--imu', help='Topic of inertial samples; none leaves them out.')
+]
+
+
+def export(
+    recording: Annotated[
+        Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')
+    ],
+    to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
+    out: Annotated[Path, typer.Option(help='New folder for the files.')],
+    events: EventsOf = '',
+    image: ImageOf = '',
+    imu: ImuOf = '',
+) -> None:
+    """Write events, frames, inertial samples, edges and forces of a recording to other files."""
+    console = Console(markup=False)
+    columns = (TextColumn('{task.description}', markup=False), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bars:
+        bar = bars.add_task(str(recording), total=1.0)
+        counts = export_recording(
+            recording,
+            to,
+            out,
+            lambda done: bars.update(bar, completed=done),
+            Selection(events, image, imu),
+        )
+    console.print(
+        f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
+        f'samples, {counts.edges} edges'
+    )
+    if to == 'aedat4':
+        console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
+    for topic, count in counts.wrenches.items():
+        console.print(f'{topic}: {count} wrenches')
+    _warn(console, counts)
+
+
+def _warn(console: Console, counts: Counts) -> None:
+    for each in counts.warnings():
+        console.print(f'warning: {each}', style='yellow')
+
+
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help='Camera data: .csv, .npz, .h5, .aedat4, .bag, a bag, or a folder that'
+            ' `mixtac export` wrote.'
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help='Folder of the new bag.')],
+    forces: Annotated[
+        OptionalPath, typer.Option(help='Table of the reference force: .csv or .npz.')
+    ] = None,
+    same_clock: Annotated[
+        bool,
+        typer.Option('--same-clock', help='The forces are stamped on the clock of the camera.'),
+    ] = False,
+    time_unit: Annotated[
+        str,
+        typer.Option(
+            help='Unit of camera times where the file states none: ns, us, ms or s; empty: us, of'
+            ' whole numbers.'
+        ),
+    ] = '',
+    force_unit: Annotated[
+        str,
+        typer.Option(help='Unit of the times of forces where the file states none; empty: s.'),
+    ] = '',
+    size: Annotated[
+        str, typer.Option(help='Size of the camera, for example 346x260; empty: by its frames.')
+    ] = '',
+    profile: Annotated[
+        str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
+    ] = '',
+    split: Split = '',
+    events: EventsOf = '',
+    image: ImageOf = '',
+    imu: ImuOf = '',
+) -> None:
+    """Make a bag of events, frames and forces in other files: csv, NPZ, HDF5, AEDAT4."""
+    options = TableOptions(time_unit, force_unit, _size(size))
+    if profile or split:
+        read_recordings(out.absolute().parent / FILE_NAME)
+    console = Console(markup=False)
+    with console.status(escape(f'reading {source}')):
+        counts = import_recording(
+            source,
+            out,
+            forces=forces,
+            same_clock=same_clock,
+            options=options,
+            selection=Selection(events, image, imu),
+        )
+    wrenches = counts.wrenches.get(REFERENCE, 0)
+    figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
+    seconds = 1e-6 * counts.length_us
+    size = '{} x {}'.format(*counts.size)
+    console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
+    console.print(
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, {size} pixels'
+    )
+    if same_clock and wrenches:
+        console.print(f'clock fit: {write_fit(_one_clock(), out)}')
+    elif wrenches:
+        console.print(f'the forces are on a clock of their own: next, mixtac align {out}')
+    if profile or split:
+        path = add_recording(
+            out, {**figures, 'imported_from': source.name}, profile=profile, split=split
+        )
+        console.print(f'described in {path}')
+    if not counts.frames:
+        console.print('warning: no frames: the force cannot be estimated', style='yellow')
+    _warn(console, counts)
+
+
+def _size(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    match = re.fullmatch(r'(\d+)x(\d+)', text)
+    if match is None:
+        raise typer.BadParameter(f'{text!r}: give columns and rows like 346x260')
+    return int(match[1]), int(match[2])
+
+
+def _one_clock() -> ClockFit:
+    """Return the map of two streams on one clock."""
+    nothing = np.zeros(0)
+    return ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), nothing, method='one clock')
+
+
+def inspect(
+    bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')],
+) -> None:
+    """List the topics of a recording, read all of it, decode the events and count lost packets.
+
+    Exit status 1 if the recording is incomplete or damaged.
+    """
+    summary = summarise(bag)
+    rows = []
+    for topic, count in sorted(summary.counts.items()):
+        events = summary.events.get(topic)
+        counted = (events.events, events.lost_packets) if events else ('', '')
+        rows.append((topic, summary.types[topic], count, *counted))
+    headings = ('topic', 'type', 'messages', 'events', 'lost packets')
+    title = f'{bag}, {summary.duration_s:.1f} s'
+    console = Console(markup=False)
+    console.print(make_table(title, headings, rows, words=2))
+    for topic, events in sorted(summary.events.items()):
+        for count, what in (
+            (events.backward_steps, 'steps back in time, by a reset of the clock or disorder'),
+            (events.outside, 'events outside of the sensor, left out'),
+        ):
+            if count:
+                console.print(f'warning: {topic}: {what}: {count}', style='yellow')
+    if summary.damage:
+        raise DamagedRecordingError(f'{bag}: {summary.damage}')
+
+
+def repair(
+    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap or .db3.')],
+    out: Annotated[Path, typer.Option(help='New folder for the repaired bag.')],
+) -> None:
+    """Write what is whole of a damaged bag as a new one, and report what is missing.
+
+    The new bag is in MCAP with an index, checksums and metadata.yaml.
+    """
+    console = Console(markup=False)
+    if recording.suffix.lower() == AEDAT4_SUFFIX:
+        raise RecordingError(
+            f'{recording} is no bag', remedy='open it in DV and save what it reads'
+        )
+    repaired = repair_bag(recording, out)
+    console.print(f'{out}: {sum(repaired.counts.values())} messages')
+    for topic, count in sorted(repaired.counts.items()):
+        console.print(f'{topic}: {count} messages')
+    if repaired.damage:
+        console.print(f'warning: {repaired.damage}', style='yellow')

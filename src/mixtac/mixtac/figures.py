@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Figures, tables and progress bars of commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
+
+from mixtac_core.node.files import FileError, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORCE, REFERENCE, EVENTS, MARK = '#e07b00', '#1f4e8c', '#5a5a5a', '#c0392b'
+"""Colours of the estimated force, the reference force, events, and marked moments or outliers."""
+DPI = 110
+
+
+def make_table(
+    title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], *, words: int = 1
+) -> Table:
+    """Return a table; its first `words` columns are aligned to the left, values to the right."""
+    # Names may hold square brackets.
+    table = Table(title=Text(title, 'table.title') if title else None, title_justify='left')
+    for number, heading in enumerate(headings):
+        table.add_column(Text(heading), justify='left' if number < words else 'right')
+    for row in rows:
+        table.add_row(*(Text(str(cell)) for cell in row))
+    return table
+
+
+@contextmanager
+def progress_bar(
+    title: str, total: int, console: Console | None = None
+) -> Iterator[Callable[[], None]]:
+    """Show a bar until the block ends; yield the function that moves it on by one step."""
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task(title, total=total)
+        yield lambda: progress.advance(bar)
+
+
+def new_figure(width_in: float, height_in: float, title: str = '') -> Figure:
+    """Return a figure of a size in inches. It needs no display.
+
+    Args:
+        width_in: Width.
+        height_in: Height.
+        title: Title; says that the data are simulated if they are.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout='constrained')
+    if title:
+        figure.suptitle(title, x=0.01, ha='left', fontsize=11)
+    return figure
+
+
+def new_axes(
+    columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its axes with a grid, row by row; sizes in inches."""
+    figure = new_figure(width, height)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    flat = [ax for row in axes for ax in row]
+    for ax in flat:
+        ax.spines[['top', 'right']].set_visible(False)
+        ax.grid(visible=True, alpha=0.25, linewidth=0.6)
+        ax.set_axisbelow(True)
+    return figure, flat
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Save a figure and return its path; its suffix gives the format.
+
+    Raises:
+        FileError: The file cannot be written, or its suffix is not that of a format.
+    """
+    try:
+        with replacing(path) as scratch:
+            figure.savefig(scratch, dpi=DPI)
+    except ValueError as error:
+        raise FileError(
+            f'cannot write {path}: {error}', remedy='name a .png or .pdf file'
+        ) from error
+    return path

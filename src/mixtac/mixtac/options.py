@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands share: type, name and help text of each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from mixtac_core.node.files import writable
+from mixtac_core.recordings.dataset import SPLITS
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+JsonFile = Annotated[
+    OptionalPath,
+    typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
+]
+_NAMESPACE = re.compile(r'/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
+
+
+def check_namespace(value: str) -> str:
+    """Return a ROS namespace, checked.
+
+    Raises:
+        BadParameter: It has other characters, or is too long.
+    """
+    return _checked_name(value, 'namespace', _NAMESPACE.fullmatch(value) is not None)
+
+
+def check_topic(value: str) -> str:
+    """Return the name of a ROS topic, checked.
+
+    Raises:
+        BadParameter: It is empty, too long, or has other characters.
+    """
+    named = _NAMESPACE.fullmatch(value) is not None and bool(value.strip('/'))
+    return _checked_name(value, 'topic', named)
+
+
+def _checked_name(value: str, kind: str, valid: bool) -> str:
+    if len(value) > _LONGEST or not valid:
+        raise typer.BadParameter(
+            f'{value[:_LONGEST]!r} is no ROS {kind}: use letters, digits, _ and /'
+        )
+    return value
+
+
+def one_of(*names: str) -> Callable[[str], str]:
+    """Return a callback that takes one of some words only, and returns it in lower case."""
+
+    def check(value: str) -> str:
+        if value.lower() not in names:
+            known = ', '.join(filter(None, names))
+            raise typer.BadParameter(f'{value[:_LONGEST]!r}: choose one of {known}')
+        return value.lower()
+
+    return check
+
+
+_LONGEST = 200
+Namespace = Annotated[
+    str,
+    typer.Option('--namespace', help='ROS namespace of the sensor.', callback=check_namespace),
+]
+ParamsFile = Annotated[
+    OptionalPath,
+    typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),
+]
+Split = Annotated[
+    str, typer.Option(help='train or test, for dataset.yaml.', callback=one_of('', *SPLITS))
+]
+RunTime = Annotated[
+    float, typer.Option('--seconds', min=0, help='Run time (s); 0 runs until Ctrl-C.')
+]
+Preset = Annotated[
+    str,
+    typer.Option(
+        '--preset', help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.'
+    ),
+]
+ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
+ReferenceTopic = Annotated[
+    str, typer.Option('--reference', help='Topic of the reference force (WrenchStamped).')
+]

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Supervises slip control on the simulated grasp: grip, heartbeat, enabling, impacts.
+
+All times are on the node's clock, which is that of the simulation if `use_sim_time` is set.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from geometry_msgs.msg import PointStamped
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool, Trigger
+
+from mixtac.impacts import ImpactLog, draw_impacts
+from mixtac.parameters import SupervisorParameters
+from mixtac_core.node import topics
+from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, declare, run
+from mixtac_core.node.files import FileError
+from mixtac_msgs.msg import ForceQuality, SlipState
+
+HEARTBEAT_PERIOD_S: Final = 0.1
+REQUEST_PERIOD_S: Final = 0.3
+"""Time between two requests to slip control or to the simulation [s]."""
+GRIP_S: Final = 1.6
+"""Time in which the object is gripped anew after it was put back [s]."""
+STEADY_S: Final = 1.0
+"""Slip control is enabled for this time before an impact, so that it has settled [s]."""
+REARM_S: Final = 2.0
+"""Time from an impact until its result is reported [s]."""
+
+
+class Phase(Enum):
+    """What the supervisor waits for, in this order; the value is what it logs."""
+
+    ZERO = 'the estimator learns the picture of the untouched skin'
+    GRIP = 'the object is gripped'
+    ENABLE = 'slip control learns the background of the grasp and is enabled'
+    HOLD = 'slip control is enabled; the object is struck soon'
+    IMPACT = 'the object was struck'
+
+
+class Supervisor(BaseNode, Node):  # type: ignore[misc]
+    """Keeps slip control of a simulation enabled, strikes the object and logs each result.
+
+    For simulations only: with a real arm, a person or a cell controller enables slip control.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('supervisor')
+        self._settings = declare(self, SupervisorParameters, self._apply)
+        self._slip = SlipState(state=SlipState.DISABLED)
+        self._log = ImpactLog()
+        self._since_s = self._requested_s = self._struck_s = 0.0
+        self._heartbeat = self.create_publisher(Empty, 'slip_control/heartbeat', QOS_SENSOR)
+        self._enable = self.create_client(SetBool, 'slip_control/enable')
+        self._reset = self.create_client(Trigger, 'slip_control/reset')
+        self._tare = self.create_client(Trigger, 'slip_control/tare')
+        self._knock = self.create_client(Trigger, 'virtual_grasp/knock')
+        self._put_back = self.create_client(Trigger, 'virtual_grasp/put_back')
+        self._phase = Phase.ENABLE
+        if self._settings.grip:
+            self._enter(Phase.ZERO)
+            self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
+        self.subscribe_topic(topics.SLIP, self._on_slip)
+        self.subscribe_topic(topics.TRUTH_OBJECT, self._on_place)
+        self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
+
+    def close(self) -> None:
+        """Disable slip control, log the summary, and draw the impacts."""
+        # Without a heartbeat it would stop with an error while the picture is drawn.
+        self._enable.call_async(SetBool.Request(data=False))
+        self.get_logger().info(self._log.summary())
+        if not self._settings.figure or not self._log.impacts:
+            return
+        try:
+            draw_impacts(self._log.impacts, Path(self._settings.figure))
+        except FileError as error:
+            self.get_logger().error(str(error))
+            return
+        self.get_logger().info(f'picture of the impacts: {self._settings.figure}')
+
+    def _apply(self, settings: SupervisorParameters) -> None:
+        self._settings = settings
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
+    def _enter(self, phase: Phase) -> None:
+        self._phase, self._since_s = phase, self._now_s()
+        self.get_logger().info(phase.value)
+
+    def _on_place(self, message: PointStamped) -> None:
+        self._log.on_place(self._now_s(), -1e3 * message.point.y)
+
+    def _on_quality(self, message: ForceQuality) -> None:
+        if self._phase is Phase.ZERO and message.valid:
+            self._grip()
+
+    def _on_slip(self, message: SlipState) -> None:
+        self._slip = message
+        stopped = message.reason if message.state == SlipState.STOPPED else ''
+        advance_mm = 1e3 * message.total_advance
+        self._log.on_slip(self._now_s(), advance_mm, stopped, slipping=message.slipping)
+        if self._phase is Phase.ENABLE and message.state == SlipState.ENABLED:
+            self._enter(Phase.HOLD)
+
+    def _beat(self) -> None:
+        """Publish the heartbeat, and do what the phase asks for."""
+        self._heartbeat.publish(Empty())
+        elapsed_s = self._now_s() - self._since_s
+        if self._phase is Phase.GRIP and elapsed_s > GRIP_S:
+            self._tare.call_async(Trigger.Request())
+            self._enter(Phase.ENABLE)
+        elif self._phase is Phase.ENABLE and self._may_request():
+            self._ask_to_enable()
+        elif self._phase is Phase.HOLD:
+            self._strike_if_due(elapsed_s)
+        elif self._phase is Phase.IMPACT and elapsed_s > REARM_S:
+            self.get_logger().info(self._log.close())
+            # Start each impact with the same force, so that they can be compared.
+            disabled = self._enable.call_async(SetBool.Request(data=False))
+            self._phase = Phase.GRIP
+            self._since_s = self._now_s()
+            disabled.add_done_callback(lambda _: self._grip())
+
+    def _may_request(self) -> bool:
+        now_s = self._now_s()
+        if now_s - self._requested_s <= REQUEST_PERIOD_S:
+            return False
+        self._requested_s = now_s
+        return True
+
+    def _grip(self) -> None:
+        self._put_back.call_async(Trigger.Request())
+        self._enter(Phase.GRIP)
+
+    def _ask_to_enable(self) -> None:
+        if self._slip.state == SlipState.STOPPED:
+            self._reset.call_async(Trigger.Request())
+        elif not self._slip.reason:
+            self._enable.call_async(SetBool.Request(data=True))
+
+    def _strike_if_due(self, elapsed_s: float) -> None:
+        every_s = self._settings.knock_every
+        due = self._now_s() - self._struck_s > every_s > 0.0 and elapsed_s > STEADY_S
+        if self._slip.state != SlipState.ENABLED:
+            self._enter(Phase.ENABLE)
+        elif due and self._may_request():
+            self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
+
+    def _on_struck(self, _response: object) -> None:
+        """Begin an impact once the simulation has confirmed it."""
+        self._struck_s = self._now_s()
+        self._log.struck(self._struck_s)
+        self._enter(Phase.IMPACT)
+
+
+main = partial(run, Supervisor)

@@ -1,0 +1,297 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that run nodes until Ctrl-C: `mixtac up`, `mixtac up slip` and `mixtac view`.
+
+`mixtac up` runs the graph of `sensor.launch.py` on machines without `ros2 launch`. `mixtac up slip`
+runs slip control on a simulated grasp and arm over real DDS. There, slip control, arm and
+supervisor follow the clock of the simulation (`/clock`), so that neither the watchdogs nor the
+response to a disturbance depend on the speed of the host.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+from rich.console import Console
+
+from mixtac.live_table import LiveTable
+from mixtac.monitor_node import Monitor
+from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
+from mixtac.view.page import require_rerun
+from mixtac_core.node.files import writable
+from mixtac_core.node.graph import (
+    NodeSpec,
+    is_virtual,
+    live_view,
+    node,
+    recorder,
+    sensor_graph,
+    slip_control,
+)
+from mixtac_core.node.process import ProcessGroup
+from mixtac_core.node.topics import DEFAULT_NAMESPACE
+
+POLL_S = 0.2
+SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
+"""Stopped in this order, so that no node loses another that it needs."""
+
+
+def start_nodes(
+    processes: ProcessGroup,
+    nodes: Sequence[NodeSpec],
+    namespace: str = DEFAULT_NAMESPACE,
+    params_file: Path | None = None,
+    log_level: str = 'info',
+) -> None:
+    """Start the processes of nodes, the driver last; see `NodeSpec.command`.
+
+    The driver of a virtual camera starts once that listens; else it reports a missing camera.
+
+    Raises:
+        GraphError: A parameter file does not exist, or a process has ended.
+    """
+    for each in sorted(nodes, key=lambda node: node.name == 'driver'):
+        device = str(each.overrides.get('device', ''))
+        if each.name == 'driver' and is_virtual(device):
+            from mixtac_sim.usb.wire import default_socket_path  # not installed on robots
+
+            while not Path(device.partition(':')[2] or default_socket_path()).exists():
+                run_until(processes, POLL_S)
+        processes.start(each.name, each.command(namespace, params_file, log_level))
+
+
+def run_until(processes: ProcessGroup, seconds: float) -> None:
+    """Wait while processes run.
+
+    Args:
+        processes: The processes.
+        seconds: How long [s]; 0 waits until interrupted.
+
+    Raises:
+        GraphError: A process has ended.
+    """
+    end = time.monotonic() + seconds
+    while not seconds or time.monotonic() < end:
+        time.sleep(POLL_S)
+        processes.check()
+
+
+LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
+
+
+def up(
+    context: typer.Context,
+    device: Annotated[
+        str, typer.Option(help='davis346, virtual, or the path of a recording.')
+    ] = 'davis346',
+    namespace: Namespace = DEFAULT_NAMESPACE,
+    params_file: ParamsFile = None,
+    log_level: Annotated[
+        str, typer.Option(help='debug, info, warn, error or fatal.', callback=one_of(*LEVELS))
+    ] = 'info',
+    seconds: RunTime = 0,
+    record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
+    autostart: Annotated[
+        bool, typer.Option(help='Configure and activate the force estimator.')
+    ] = True,
+    model: Annotated[
+        str,
+        typer.Option(help='Weight file or name of a model; by default that of the parameter file.'),
+    ] = '',
+    play: Annotated[bool, typer.Option(help='Virtual sensor: play its scenario in a loop.')] = True,
+    view: Annotated[
+        bool, typer.Option(help='Show the sensor in the browser (needs `make view`).')
+    ] = False,
+) -> None:
+    """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
+    if context.invoked_subcommand is not None:
+        return
+    from mixtac_driver.source import source_kind  # imports numba, which --help need not wait for
+    from mixtac_fger.weights import find_model, read_model
+
+    # What cannot be used is refused before anything starts.
+    source_kind(device)
+    estimator = None
+    if model:
+        path = find_model(model).resolve()
+        read_model(path)
+        estimator = {'model': str(path)}
+    if view:
+        require_rerun()
+    play = play and is_virtual(device)
+    nodes = sensor_graph(
+        device,
+        estimator=estimator,
+        virtual_sensor={'loop': True} if play else None,
+        view=view,
+    )
+    if record is not None:
+        nodes.append(recorder(record))
+    with ProcessGroup() as processes:
+        start_nodes(processes, nodes, namespace, params_file, log_level)
+        if not autostart:
+            run_until(processes, seconds)
+            return
+        with Monitor(namespace, seconds=0.0) as monitor:
+            monitor.bring_up_all(nodes, processes)
+            monitor.listen()
+            _await_estimate(monitor, processes)
+            if play:
+                monitor.trigger('virtual_sensor/play', processes.check)
+            console = Console(markup=False)
+            console.print(
+                f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
+            )
+            if is_virtual(device) or console.is_terminal:
+                _show(console, monitor, processes, seconds, reference=is_virtual(device))
+                return
+        run_until(processes, seconds)
+
+
+def _await_estimate(monitor: Monitor, processes: ProcessGroup) -> None:
+    """Wait until forces are estimated; without a known zero they are not published."""
+
+    def estimates() -> bool:
+        rate_hz = float(monitor.values('fger').get('rate_hz', 0.0))
+        return monitor.estimate.received > 0 or rate_hz > 0.0
+
+    monitor.wait(estimates, 'the first force', processes.check)
+
+
+def _show(
+    console: Console, monitor: Monitor, processes: ProcessGroup, seconds: float, *, reference: bool
+) -> None:
+    """Show the force in the terminal for some seconds [s]; 0 shows it until interrupted."""
+    end_s = time.monotonic() + seconds
+
+    def doing() -> str:
+        processes.check()
+        left_s = end_s - time.monotonic()
+        if not seconds:
+            return 'press Ctrl-C to stop'
+        return f'{left_s:.0f} s left' if left_s > 0.0 else ''
+
+    LiveTable(console, monitor, reference=reference).show(doing)
+
+
+def slip(
+    object_name: Annotated[
+        str,
+        typer.Option('--object', help='box, cup or ball.', callback=one_of('box', 'cup', 'ball')),
+    ] = 'box',
+    disturb: Annotated[
+        float,
+        typer.Option(
+            '--disturb', min=0.0, max=500.0, help='Speed of each impact (mm/s); 0 for none.'
+        ),
+    ] = 50.0,
+    every: Annotated[
+        float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
+    ] = 8.0,
+    margin: Annotated[
+        float,
+        typer.Option(
+            min=1.0,
+            max=5.0,
+            help='Grasp force relative to the smallest that holds the object.',
+        ),
+    ] = 1.05,
+    preset: Annotated[
+        str,
+        typer.Option(
+            help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.',
+            callback=one_of('easy', 'paper_like', 'hard', 'varied'),
+        ),
+    ] = 'paper_like',
+    seed: Annotated[
+        int,
+        typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
+    ] = 1,
+    seconds: RunTime = 0.0,
+    figure: Annotated[
+        Path,
+        typer.Option(help='Picture of the impacts, written at the end.', callback=writable),
+    ] = Path('slip.png'),
+) -> None:
+    """Hold a simulated object against disturbances with the real driver and slip control."""
+    simulated = {'use_sim_time': True}
+    with tempfile.TemporaryDirectory(prefix='mixtac-') as folder, ProcessGroup() as processes:
+        socket = Path(folder) / 'usb.sock'
+        grasp = {
+            'object': object_name,
+            'knock': disturb,
+            'margin': margin,
+            'preset': preset,
+            'device_seed': seed,
+            'seed': seed,
+            'socket': str(socket),
+            'publish_clock': True,
+            'publish_force': False,
+        }
+        reach = {'normal_frame': 'base', 'normal': '0 1 0'}
+        supervisor = {
+            'knock_every': every if disturb > 0.0 else 0.0,
+            'figure': str(figure.absolute()),
+            'grip': True,
+            **simulated,
+        }
+        # The contact is not needed, and costs as much as the force.
+        *_, driver, fger = sensor_graph(
+            f'virtual:{socket}',
+            estimator={'autostart': True, 'contact': False},
+            simulated_time=True,
+        )
+        nodes = [
+            node('mixtac_sim', 'virtual_grasp', overrides=grasp),
+            slip_control({'arm': 'fr3', **reach, **simulated}),
+            node('mixtac_sim', 'virtual_arm', overrides=simulated),
+            node('mixtac', 'supervisor', overrides=supervisor),
+            fger,
+            driver,
+        ]
+        start_nodes(processes, nodes)
+        try:
+            with Monitor(DEFAULT_NAMESPACE, seconds=0.0) as monitor:
+                monitor.listen()
+                monitor.wait(
+                    lambda: monitor.values('slip_control').get('state') == 'enabled',
+                    'slip control to be enabled',
+                    processes.check,
+                )
+            run_until(processes, seconds)
+        finally:
+            for name in SLIP_STOP_ORDER:
+                if processes.has(name):
+                    processes.stop(name)
+
+
+def view(
+    namespace: Namespace = DEFAULT_NAMESPACE,
+    port: Annotated[
+        Optional[int],  # noqa: UP045  (typer evaluates this under Python 3.10)
+        typer.Option(
+            min=0, max=65535, help='Port of the page on 127.0.0.1 (0: any free one); 9090 if unset.'
+        ),
+    ] = None,
+    save: Annotated[
+        OptionalPath, typer.Option(help='Write to this new .rrd file instead of serving a page.')
+    ] = None,
+    seconds: RunTime = 0,
+    params_file: ParamsFile = None,
+) -> None:
+    """Show a running sensor in the browser: events, frame, force, contact, state."""
+    require_rerun()
+    with ProcessGroup() as processes:
+        start_nodes(processes, [live_view(port, save)], namespace, params_file)
+        target = save or 'the page whose address is printed below'
+        Console(markup=False).print(
+            f'showing /{namespace.strip("/")} in {target}; press Ctrl-C to stop'
+        )
+        while save is not None and not save.exists():
+            run_until(processes, POLL_S)
+        run_until(processes, seconds)

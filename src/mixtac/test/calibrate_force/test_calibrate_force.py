@@ -1,0 +1,371 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate-force` on a simulated recording, and live on the virtual sensor."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import typer
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+from rich.console import Console
+from typer.testing import CliRunner
+
+from mixtac.calibrate_force import command, session
+from mixtac.calibrate_force.command import calibrate_force, parse_loads
+from mixtac.calibrate_force.session import estimated
+from mixtac_core.events.arrays import Events
+from mixtac_core.recordings import camera_stream
+from mixtac_core.recordings.dataset import TrialSpec
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.force_calibration import GRAVITY, PULL, ForceCalibrationError, fit_gain
+from mixtac_fger.weights import find_model, read_model
+from mixtac_sim.bags.trial_bag import write_trial
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.usb.endpoints import serial_number
+from mixtac_sim.world import profiles
+from mixtac_sim.world.segments import Segment
+
+DEVICE = 500_001
+GRAMS = (50.0, 100.0)
+
+
+def weights(_rng, start_s, _span_s):
+    """Put 50 g and 100 g on, one after the other."""
+    segments, begin = [], start_s + 1.6
+    for grams in GRAMS:
+        force, down = 1e-3 * GRAVITY * grams, begin + 0.4
+        up = down + 2.4
+        segments += [
+            Segment(begin, down, Mode.FORCE, (0.0, 0.4), (0.0, force)),
+            Segment(down, up, Mode.FORCE, (0.0,), (force,)),
+            Segment(up, up + 0.3, Mode.FORCE, (0.0, 0.3), (force, 0.0)),
+        ]
+        begin = up + 0.3 + 2.2
+    return segments
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return a simulated recording of the procedure, with a reference sensor.
+
+    What a model makes of it is computed once.
+    """
+    folder, known = tmp_path_factory.mktemp('bags'), {}
+    spec = TrialSpec('weights', 'weights', 14.5, DEVICE, 7, 'easy', 'train')
+
+    def once(recording, model):
+        key = float(model.tensors['frame.head.weight'].sum())
+        if key not in known:
+            known[key] = estimated(recording, model)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(profiles.PROFILES, 'weights', weights)
+        write_trial(spec, folder)
+        patch.setattr(session, 'estimated', once)
+        yield folder / spec.name
+
+
+def held(*levels):
+    """Return normal force, x and y [N] at 500 Hz that rest at each level for 2 s."""
+    table = np.array(levels)
+    rows = [np.repeat(table[:1], 1000, axis=0)]
+    for before, after in pairwise(table):
+        rows += [np.linspace(before, after, 100), np.repeat([after], 1000, axis=0)]
+    return np.concatenate(rows)
+
+
+@pytest.fixture
+def pulled(tmp_path, monkeypatch):
+    """Return a recording with 50 g and 100 g, and with 100 g that 20 g pull to +x and to +y.
+
+    The estimate is 1.25 times too small, that of the sideways force 2 times.
+    """
+    free, half, press = (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.1, 0.002, -0.001)
+    levels = [free, half, free, press, free, press, (0.1, 0.022, -0.001), press]
+    levels += [(0.1, 0.002, 0.019), press, free]
+    forces = GRAVITY * held(*levels) / [1.25, 2.0, 2.0]
+    forces += np.random.default_rng(1).normal(0.0, 0.003, forces.shape)
+    monkeypatch.setattr(
+        session, 'estimated', lambda *_: (2000 * np.arange(len(forces), dtype=np.int64), forces, [])
+    )
+    monkeypatch.setattr(camera_stream, 'open_recording', lambda _: io.BytesIO())
+    path = tmp_path / 'recording.aedat4'
+    path.touch()
+    return path
+
+
+def test_sideways_loads_give_the_gain_of_the_sideways_force(pulled, tmp_path):
+    out, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
+    words = ('--bag', pulled, '--loads', '50,100', '--out', out, '--json', figures)
+    result = calibrate(*words, '--sideways-loads', '20,20')
+    assert result.exit_code == 0, result.output
+    found = json.loads(figures.read_text())
+    sideways = found['sideways']
+    assert found['gain'] == pytest.approx(1.25, rel=0.02)
+    # Beside that of the normal force.
+    assert sideways['pulled_gain'] == pytest.approx(2.0 / 1.25, rel=0.03)
+    assert 1.0 < sideways['gain'] < sideways['pulled_gain']
+    model, shipped = (read_model(find_model(name)) for name in (str(out), 'fger_small'))
+    assert model.card.training['calibrated']['sideways'] == sideways
+    unit = model.tensors['shear.unit'] / shipped.tensors['shear.unit']
+    applied = sideways['gain'] * found['gain']
+    assert unit == pytest.approx([applied] * 3, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ('text', 'error'),
+    [('20,20,20', 'contact'), ('20', 'few'), ('20g', 'loads'), ('0.02,0.02', 'loads')],
+)
+def test_pulls_that_are_not_in_the_recording_are_refused(pulled, tmp_path, text, error):
+    out = tmp_path / 'm.safetensors'
+    result = calibrate(
+        *('--bag', pulled, '--loads', '50,100', '--out', out, '--sideways-loads', text)
+    )
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == error
+    assert not out.exists()
+
+
+def calibrate(*words):
+    app = typer.Typer()
+    app.command()(calibrate_force)
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope='module')
+def done(bag, tmp_path_factory):
+    """Calibrate by the recording; return the folder of the results."""
+    folder = tmp_path_factory.mktemp('calibrated')
+    result = calibrate(
+        *('--bag', bag, '--loads', '50,100', '--gel', 'soft', '--out', folder / 'm.safetensors'),
+        *('--json', folder / 'f.json', '--figure', folder / 'f.png'),
+    )
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_a_recording_gives_gain_weight_file_and_picture(done):
+    found = json.loads((done / 'f.json').read_text())
+    assert found['gain'] == pytest.approx(1.0, abs=0.6)
+    assert 0.0 < found['gain_sd'] < 0.06 * found['gain']
+    assert found['mae_after_n'] < 0.04
+    assert [each['load_g'] for each in found['loads']] == list(GRAMS)
+    assert found['known_by'] == 'weights'
+    assert (done / 'f.png').stat().st_size > 10_000
+    assert (done / 'm.md').is_file()
+
+
+def test_the_weight_file_says_how_it_was_calibrated(done):
+    shipped, model = (
+        read_model(find_model(n)) for n in ('fger_small', str(done / 'm.safetensors'))
+    )
+    entry = model.card.training['calibrated']
+    assert model.card.training[SERIAL_KEY] == entry['serial'] == serial_number(DEVICE)
+    assert entry['gel'] == 'soft'
+    assert entry['from'] == 'fger_small.safetensors'
+    head = shipped.tensors['frame.head.weight']
+    assert model.tensors['frame.head.weight'] == pytest.approx(entry['gain'] * head, rel=1e-4)
+
+
+def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
+    words = ('--bag', bag, '--loads', '50,100', '--model', done / 'm.safetensors')
+    result = calibrate(*words, '--out', tmp_path / 'again.safetensors')
+    assert result.exit_code == 0, result.output
+    once, twice = (
+        read_model(folder) for folder in (done / 'm.safetensors', tmp_path / 'again.safetensors')
+    )
+    share = [m.tensors['deviation.scale'] / m.config['force_unit'] for m in (once, twice)]
+    assert share[1] == pytest.approx(share[0])
+
+
+def test_forces_that_are_not_valid_are_used_with_a_warning_but_for_frozen_frames():
+    random = np.random.default_rng(0)
+    own, other = (np.exp(random.normal(5.0, 0.3, (260, 346))) for _ in range(2))
+
+    def recording(later):
+        def pieces(start_us):
+            for index in range(40):
+                end_us = start_us + 40_000 * (index + 1)
+                image = own if index < 15 else later
+                if index < 15 or later is other:
+                    image = image + random.normal(0.0, 2.0, own.shape)
+                frame = SimpleNamespace(image=image.astype(np.uint16), middle_us=end_us - 20_000)
+                yield SimpleNamespace(
+                    frames=[frame], advances=True, events=Events.empty(), until_us=end_us
+                )
+
+        return SimpleNamespace(info=SimpleNamespace(start_us=1_000_000), pieces=pieces)
+
+    model = read_model(find_model('fger_small'))
+    t_us, _, doubts = estimated(recording(other), model)
+    assert t_us[-1] == 1_000_000 + 40 * 40_000
+    assert doubts
+    frozen_us, _, _ = estimated(recording(own), model)
+    assert len(frozen_us) < len(t_us)
+
+
+def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):
+    words = ('--bag', bag, '--check', '--model', done / 'm.safetensors')
+    result = calibrate(*words, '--loads', '50,100', '--json', tmp_path / 'c.json')
+    assert result.exit_code == 0, result.output
+    assert json.loads((tmp_path / 'c.json').read_text())['passed']
+    result = calibrate(*words, '--loads', '75,150', '--json', tmp_path / 'c.json')
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == 'loads'
+    assert not json.loads((tmp_path / 'c.json').read_text())['passed']
+
+
+def test_a_reference_sensor_in_the_recording_is_used(done, bag, tmp_path):
+    words = ('--bag', bag, '--out', tmp_path / 'm.safetensors', '--json', tmp_path / 'f.json')
+    result = calibrate(*words)
+    assert result.exit_code == 0, result.output
+    found, by_weights = (
+        json.loads(path.read_text()) for path in (tmp_path / 'f.json', done / 'f.json')
+    )
+    assert found['known_by'] == 'reference'
+    assert found['gain'] == pytest.approx(by_weights['gain'], rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ('loads', 'reason'), [('100,50', 'loads'), ('0.05,0.1', 'loads'), ('50,100,150', 'contact')]
+)
+def test_a_refusal_leaves_nothing_behind(bag, tmp_path, loads, reason):
+    words = ('--json', tmp_path / 'f.json', '--figure', tmp_path / 'f.png')
+    result = calibrate(
+        *('--bag', bag, '--loads', loads, '--out', tmp_path / 'm.safetensors'), *words
+    )
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == reason
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_written_or_checked_is_refused_first(bag, tmp_path):
+    for words in (
+        ('--bag', bag),
+        ('--bag', bag, '--out', tmp_path / 'm.bin'),
+        ('--bag', bag, '--check'),
+        ('--bag', bag, '--check', '--sideways-loads', '20'),
+    ):
+        assert isinstance(calibrate(*words).exception, ModelError)
+
+
+def test_too_few_loads_are_refused_before_anything_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(command, 'run_live', None)
+    for loads in ('100', '100,105'):
+        result = calibrate('--loads', loads, '--out', tmp_path / 'm.safetensors')
+        assert isinstance(result.exception, ForceCalibrationError)
+        assert result.exception.reason == 'few'
+
+
+def test_loads_are_grams():
+    assert [load.grams for load in parse_loads('20, 50,100.5', 1.0)] == pytest.approx(
+        [20.0, 50.0, 100.5]
+    )
+    for text in ('', 'fifty', '50,,100', '-5', 'inf', 'nan'):
+        with pytest.raises(ForceCalibrationError) as caught:
+            parse_loads(text, 1.0)
+        assert caught.value.reason == 'loads'
+
+
+@pytest.mark.dds
+@pytest.mark.timeout(600)
+def test_the_virtual_sensor_is_calibrated_live(ros_domain, tmp_path):
+    model, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
+    words = [sys.executable, '-m', 'mixtac', 'calibrate-force', '--device', 'virtual', '--yes']
+    words += ['--loads', '50,100', '--out', str(model), '--json', str(figures)]
+    words += ['--sideways-loads', '20']
+    result = subprocess.run(
+        words, env=ros_domain, capture_output=True, text=True, timeout=500, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    found = json.loads(figures.read_text())
+    assert 0.2 < found['gain'] < 5.0
+    assert found['mae_after_n'] < 0.05
+    assert found['sideways']['mae_after_n'] < 0.05
+    assert read_model(model).card.training[SERIAL_KEY] == found['serial'] != ''
+
+
+class Operated:
+    """Monitor and nodes of a sensor that reads 0.8 of presses and 0.5 of pulls; time is simulated.
+
+    Each look at the force shows 0.2 s more.
+    """
+
+    def __init__(self):
+        self.load, self.asked = (0.0, 0.0, 0.0), {}
+        self.rows = [(0, 0.0, 0.0, 0.0)]
+        self.serial, self.random = 'virtual', np.random.default_rng(1)
+
+    def check(self):
+        """Nothing fails."""
+
+    def set_parameters(self, _node, values, _check):
+        self.asked |= values
+
+    def touch(self, gesture, _check, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
+        assert (hold, pull_direction) == (0.0, 0.0)
+        self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
+
+    def trigger(self, service, _check):
+        """Nothing changes at a tare."""
+
+    @property
+    def force_count(self):
+        target = np.array(self.load) * (0.8, 0.5, 0.5)
+        for _ in range(100):
+            self.rows.append((len(self.rows) * 2_000_000, *target))
+        return len(self.rows)
+
+    reference_count = property(lambda self: len(self.rows))
+
+    def _table(self):
+        rows = np.array(self.rows)
+        return rows[:, 0].astype(np.int64), rows[:, 1:] + self.random.normal(
+            0, 1e-3, (len(rows), 3)
+        )
+
+    def force(self):
+        stamps, forces = self._table()
+        return stamps + 5_000_000, stamps, forces[:, 0]
+
+    def sideways(self):
+        return self._table()[1][:, 1:]
+
+    def reference(self):
+        stamps, forces = self._table()
+        return stamps + 5_000_000, forces[:, 0] / 0.8 + 0.1
+
+    def reference_sideways(self):
+        return self._table()[1][:, 1:] / 0.5
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, known):
+    monkeypatch.setattr(session, 'POLL_S', 0.0)
+    operated, loads = Operated(), parse_loads('20,50,100', 1.0)
+    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
+    found = live.lead(loads, parse_loads('20,20', 1.0), known)
+    assert found.known_by == ('weights' if known else 'reference')
+    assert fit_gain(found.loads, found.plateaus).gain == pytest.approx(1.25, rel=0.02)
+    assert fit_gain(found.pull_loads, found.pulls, PULL).gain == pytest.approx(2.0, rel=0.03)
+
+
+def test_a_load_that_never_arrives_is_refused(monkeypatch):
+    monkeypatch.setattr(session, 'POLL_S', 0.0)
+    operated = Operated()
+    operated.trigger = lambda *_: None
+    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
+    with pytest.raises(ForceCalibrationError) as caught:
+        live.lead(parse_loads('20,50', 1.0))
+    assert caught.value.reason == 'contact'

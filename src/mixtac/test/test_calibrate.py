@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate`: from a bag of frames to a camera_info file, and what is said on the way."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).parents[2] / 'mixtac_driver/test'))
+
+from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses
+
+from mixtac.calibrate import bag_images, calibrate
+from mixtac_core.recordings.bag import typestore
+from mixtac_core.recordings.bag_writer import BagWriter
+from mixtac_core.recordings.recording import RecordingError
+from mixtac_driver.calibration import Refusal, RefusedError
+from mixtac_driver.camera_info import CalibrationError, read_camera_info
+
+TOPIC = '/mixtac/image_raw'
+PERIOD_NS = 200_000_000
+
+
+def image_message(types, image, stamp_ns, encoding='mono16'):
+    header = types['std_msgs/msg/Header'](
+        stamp=types['builtin_interfaces/msg/Time'](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9),
+        frame_id='camera',
+    )
+    return types['sensor_msgs/msg/Image'](
+        header=header,
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=False,
+        step=image.strides[0],
+        data=np.frombuffer(image.tobytes(), np.uint8),
+    )
+
+
+def write_bag(path, images, topic=TOPIC, period_ns=PERIOD_NS):
+    store = typestore()
+    writer = BagWriter(path)
+    connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', latched=False)
+    for index, image in enumerate(images):
+        stamp = 10**9 + index * period_ns
+        message = image_message(store.types, image, stamp)
+        data = store.serialize_cdr(message, 'sensor_msgs/msg/Image')
+        writer.write(connection, stamp, bytes(data))
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope='module')
+def frames():
+    camera, rng = BoardCamera('equidistant'), np.random.default_rng(3)
+    empty = np.clip(rng.normal(400, 4, (HEIGHT, WIDTH)), 0, 1023).astype(np.uint16) << 6
+    return [empty, *(camera.image(*each, rng) for each in good_poses('equidistant', 18, 21, 8))]
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory, frames):
+    return write_bag(tmp_path_factory.mktemp('bags') / 'board', frames)
+
+
+def run_cli(*arguments):
+    app = typer.Typer()
+    app.command()(calibrate)
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def test_a_bag_gives_a_camera_file(tmp_path, bag):
+    result = run_cli(
+        *(bag, '--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml'),
+        *('--json', tmp_path / 'result.json'),
+    )
+    assert result.exit_code == 0, result.output
+    calibration = read_camera_info(tmp_path / 'camera.yaml')
+    fx, fy, cx, cy, _ = WIDE['equidistant']
+    assert calibration.model == 'equidistant'
+    assert calibration.camera_matrix[0, 0] == pytest.approx(fx, rel=0.01)
+    assert calibration.camera_matrix[1, 1] == pytest.approx(fy, rel=0.01)
+    assert calibration.camera_matrix[0, 2] == pytest.approx(cx, abs=0.5)
+    assert calibration.camera_matrix[1, 2] == pytest.approx(cy, abs=0.5)
+    summary = json.loads((tmp_path / 'result.json').read_text())
+    assert summary['reprojection_error_px']['rms'] < 0.3
+    assert summary['images'] == 19
+    assert summary['boards'] >= 13
+    assert summary['views'] > 8
+    assert str(summary['boards']) in result.output
+
+
+def test_without_out_it_goes_where_the_driver_looks(tmp_path, bag, monkeypatch):
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    calibrate(bag=bag, name='fingertip', alpha=0.5, json=tmp_path / 'result.json')
+    saved = read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml')
+    projection = json.loads((tmp_path / 'result.json').read_text())['projection']
+    np.testing.assert_array_equal(saved.projection.ravel(), projection)
+
+
+def test_few_views_are_refused_and_nothing_is_written(tmp_path, frames):
+    bag = write_bag(tmp_path / 'few', frames[:5])
+    with pytest.raises(RefusedError) as caught:
+        calibrate(bag=bag, out=tmp_path / 'camera.yaml')
+    assert caught.value.reason is Refusal.TOO_FEW_VIEWS
+    assert not (tmp_path / 'camera.yaml').exists()
+
+
+@pytest.mark.parametrize(
+    ('change', 'value'),
+    [
+        ({'board': '9by6'}, '9by6'),
+        ({'square': 0.0}, 'square'),
+        ({'model': 'fisheye'}, 'fisheye'),
+        ({'name': 'a/b'}, 'a/b'),
+    ],
+)
+def test_wrong_options_are_named_before_anything_is_read(change, value):
+    with pytest.raises(CalibrationError) as caught:
+        calibrate(bag=Path('no such bag'), **change)
+    assert value in str(caught.value)
+
+
+def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
+    with pytest.raises(RecordingError) as caught:
+        list(bag_images(bag, '/other'))
+    assert '/other' in str(caught.value)
+    with pytest.raises(RecordingError) as caught:
+        list(bag_images(tmp_path / 'none', TOPIC))
+    assert str(tmp_path / 'none') in str(caught.value)
+
+
+def test_a_recording_is_thinned_out(tmp_path, frames):
+    bag = write_bag(tmp_path / 'fast', frames[:8], period_ns=PERIOD_NS // 4)
+    labels = [label for label, _ in bag_images(bag, TOPIC)]
+    assert labels == ['1.000', '1.200']

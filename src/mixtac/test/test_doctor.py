@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac doctor`: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import zipfile
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from mixtac import doctor
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_driver.doctor import Finding, Level, RawData, ok
+from mixtac_driver.errors import UnknownDeviceError
+from mixtac_driver.parameters import DriverParameters
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.server import UsbServer
+
+TEXTS = ('findings.json', 'versions.json', 'registers.json', 'driver.yaml')
+WARNING = Finding('disk', Level.WARN, '1 GB free', 'use another disk', {'free [GB]': math.nan})
+ERROR = Finding('libusb', Level.ERROR, 'libusb is missing', 'install [it]')
+
+
+def run_with(monkeypatch, tmp_path, *findings):
+    """Run the command as if it had found this; return exit status, output and JSON."""
+    sections = [('one', [ok('kernel', 'Linux', realtime=False)]), ('two', list(findings))]
+    monkeypatch.setattr(doctor, 'examine', lambda *_, **__: iter(sections))
+    app, path = typer.Typer(), tmp_path / 'new' / 'doctor.json'
+    app.command()(doctor.doctor)
+    result = CliRunner().invoke(app, ['--json', str(path)])
+    return result.exit_code, result.output, json.loads(path.read_text())
+
+
+def test_all_is_well(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path)
+    assert status == 0
+    assert output.splitlines()[-1] == content['verdict']
+    assert (content['device'], content['level']) == ('davis346', 'ok')
+    assert content['findings'][0]['values'] == {'realtime': False}
+
+
+def test_a_warning_is_no_failure(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path, WARNING)
+    assert status == 0
+    assert output.splitlines()[-1] == content['verdict']
+    assert content['verdict'].endswith('disk: use another disk')
+    assert content['level'] == 'warn'
+    # JSON has no NaN.
+    assert content['findings'][1]['values'] == {'free [GB]': None}
+
+
+def test_an_error_is_a_failure_and_comes_first(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path, WARNING, ERROR)
+    assert status == 1
+    assert output.splitlines()[-1] == content['verdict']
+    assert content['verdict'].endswith('libusb: install [it]')
+
+
+def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
+    (tmp_path / 'sys/bus/usb/devices').mkdir(parents=True)
+    sections = dict(doctor.examine(DriverParameters(), 1.0, root=tmp_path))
+    assert list(sections) == ['software', 'camera', 'computer']
+    findings = [each for found in sections.values() for each in found]
+    errors = [f for f in findings if f.level is Level.ERROR and f.name != 'ROS 2']
+    assert [f.name for f in errors] == ['camera on the USB']
+    assert '--device virtual' in errors[0].remedy
+
+
+def test_an_unknown_device_is_refused_before_anything():
+    with pytest.raises(UnknownDeviceError) as caught:
+        next(doctor.examine(DriverParameters(device='davis640'), 1.0))
+    assert 'davis640' in str(caught.value)
+
+
+def test_a_virtual_sensor_that_runs_is_used(tmp_path):
+    path = str(tmp_path / 'camera.sock')
+    server = UsbServer(VirtualDavis346('V0000007'), path)
+    try:
+        with doctor.virtual_camera(f'virtual:{path}') as (backend, finding):
+            assert backend is not None
+            assert finding.level is Level.OK
+    finally:
+        server.close()
+
+
+def test_a_named_virtual_sensor_that_does_not_run_is_an_error(tmp_path):
+    with doctor.virtual_camera(f'virtual:{tmp_path}/none.sock') as (backend, finding):
+        assert backend is None
+        assert (finding.level, 'virtual_sensor_node' in finding.remedy) == (Level.ERROR, True)
+
+
+def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
+    # Where nobody serves a virtual sensor.
+    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
+    monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
+    raw = RawData()
+    sections = dict(doctor.examine(DriverParameters(device='virtual'), 1.0, raw=raw))
+    assert [found.level for found in sections['camera']] == [Level.OK]
+    measured = sections['measured']
+    names = [f.name for f in measured]
+    assert names[:4] == ['identity', 'events', 'frames', 'inertial samples']
+    found = {f.name: f.values for f in measured}
+    # A busy computer may miss some.
+    assert 0 < found['frames']['frames [1/s]'] < 28
+    assert 0 < found['inertial samples']['inertial samples [1/s]'] < 1100
+    doctor.write_bundle(tmp_path / 'bundle.zip', {}, DriverParameters(), raw)
+    with zipfile.ZipFile(tmp_path / 'bundle.zip') as bundle:
+        names = bundle.namelist()
+        registers = json.loads(bundle.read('registers.json'))
+        decoder = StreamDecoder(Geometry())
+        batches = [*decoder.push(bundle.read('words.bin'))]
+    assert names == [*TEXTS, 'words.bin']
+    assert registers['6:0'] == 18
+    assert sum(len(batch.frames) for batch in batches) > 0
+    assert decoder.counters.words_accounted == decoder.counters.words
+
+
+@pytest.mark.parametrize(
+    ('domain', 'level'),
+    [
+        (None, Level.OK),
+        ('', Level.OK),
+        ('0', Level.OK),
+        ('101', Level.OK),
+        ('102', Level.WARN),
+        ('seven', Level.ERROR),
+    ],
+)
+def test_ros_domain(domain, level):
+    finding = doctor.check_domain({} if domain is None else {'ROS_DOMAIN_ID': domain})
+    assert finding.level is level
+    assert ('export ROS_DOMAIN_ID' in finding.remedy) == (level > Level.OK)
+
+
+def test_ros_is_named():
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    finding = doctor.check_ros(os.environ)
+    assert finding.level is Level.OK
+    assert str(finding.values['rmw']).startswith('rmw_')
+
+
+def test_ros_that_cannot_be_imported(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'rclpy.utilities', None)
+    finding = doctor.check_ros(os.environ)
+    assert finding.level is Level.WARN
+    assert finding.remedy
+
+
+def test_the_model_is_loaded(monkeypatch, tmp_path):
+    assert doctor.check_model().level is Level.OK
+    monkeypatch.setattr('mixtac_fger.weights.DEFAULT_MODEL', f'{tmp_path}/none.safetensors')
+    finding = doctor.check_model()
+    assert (finding.level, bool(finding.remedy)) == (Level.ERROR, True)

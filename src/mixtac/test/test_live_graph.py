@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The running graph on the virtual sensor: the contract of names, types and QoS, and the data."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac.monitor_node import Monitor  # noqa: E402
+from mixtac_core.node.graph import sensor_graph  # noqa: E402
+from mixtac_core.node.topics import TOPICS, message_class  # noqa: E402
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.dds
+OTHER_GRAPHS = {
+    'clock_fit',
+    'slip',
+    'reference/wrench',
+    'force_error/mae',
+    'force_error/rmse',
+}
+
+
+@pytest.fixture(scope='module')
+def graph(module_node_under_test) -> Iterator[Monitor]:
+    """Return a monitor of the sensor graph, running and active."""
+    processes = module_node_under_test
+    with Monitor('mixtac', 120) as monitor:
+        # A slow host is no matter of this test: by default, time that it cannot simulate is a gap.
+        given = {'scenario': 'idle'}
+        nodes = sensor_graph('virtual', virtual_sensor=given)
+        processes.start_nodes(nodes, 'mixtac')
+        monitor.bring_up_all(nodes, processes)
+        monitor.listen()
+        processes.spin_until(lambda: monitor.force_count >= 500)
+        yield monitor
+        processes.check()
+
+
+@pytest.mark.parametrize(
+    'topic',
+    [t for t in TOPICS if t.name not in OTHER_GRAPHS and not t.condition],
+    ids=lambda t: t.name,
+)
+def test_each_topic_has_its_type_and_qos(graph: Monitor, module_node_under_test, topic):
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    node = module_node_under_test.node
+    infos = node.get_publishers_info_by_topic(topic.resolved('mixtac'))
+    assert infos, f'nobody publishes {topic.name}'
+    for info in infos:
+        assert info.topic_type == topic.type_name
+        qos = info.qos_profile
+        assert qos.reliability == ReliabilityPolicy.RELIABLE
+        assert (qos.durability == DurabilityPolicy.TRANSIENT_LOCAL) == topic.latched
+
+
+def test_every_type_of_the_contract_exists():
+    for topic in TOPICS:
+        assert message_class(topic.type_name) is not None
+
+
+def test_force_stamps_are_two_milliseconds_apart_and_finite(graph: Monitor):
+    _, stamps, force = graph.force()
+    assert set((stamps[1:] - stamps[:-1]).tolist()) == {2_000_000}
+    assert all(math.isfinite(each) for each in force)
+
+
+def test_no_contact_reads_near_zero(graph: Monitor):
+    _, _, force = graph.force()
+    assert abs(float(force[-250:].mean())) < 0.1
+
+
+def test_every_node_reports_and_says_that_it_is_simulated(graph: Monitor):
+    deadline = time.monotonic() + 10
+    names = {'mixtac/driver', 'mixtac/virtual_sensor', 'mixtac/fger'}
+    while not names <= set(graph.diagnostics) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert names <= set(graph.diagnostics)
+    for name in ('mixtac/driver', 'mixtac/virtual_sensor'):
+        assert graph.diagnostics[name]['simulated'] == 'True'

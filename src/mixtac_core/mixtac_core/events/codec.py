@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Encoding and decoding of event packets, by the name of the encoding.
+
+Packets are independent of each other, so that a lost packet costs its own events only.
+"""
+
+from __future__ import annotations
+
+from array import array
+from typing import Final, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_core.events import foreign, libcaer, libcaer_cmp
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.packets import CodecError, DecodedPacket, EncodedPacket, OwnPacket
+
+# In quotes: Python 3.11 cannot subscript array.
+Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
+
+
+class Codec(Protocol):
+    """Interface of the codec modules; neither function is called for an empty packet."""
+
+    def encode(self, events: Events, complete_until: int | None = None) -> EncodedPacket:
+        """Encode events on the camera clock."""
+
+    def decode(
+        self, payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
+    ) -> DecodedPacket:
+        """Decode a payload of whole bytes."""
+
+
+_CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
+ENCODINGS = tuple(_CODECS)
+"""Names of the encodings, the preferred one first."""
+READABLE = (*ENCODINGS, foreign.EVT3)
+"""Names of the encodings that recordings may have."""
+MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
+"""Times from here on [ns] do not fit into ROS stamps."""
+MAX_SPAN_US: Final = 1 << 24
+"""Longest packet of a message [us], the most that `libcaer_cmp` holds. It bounds the number of
+windows that one packet can close."""
+
+
+class PacketMessage(Protocol):
+    """The fields of `event_camera_msgs/EventPacket` that decoding and counting need."""
+
+    seq: int
+    width: int
+    height: int
+    time_base: int
+    encoding: str
+    is_bigendian: bool
+
+    @property
+    def events(self) -> Payload:
+        """Encoded bytes."""
+
+
+def encode(
+    events: Events, encoding: str = libcaer_cmp.NAME, *, complete_until: int | None = None
+) -> EncodedPacket:
+    """Encode events as one packet.
+
+    Args:
+        events: Events on the camera clock [us], not negative, times not decreasing; may be empty.
+        encoding: One of `ENCODINGS`.
+        complete_until: Camera clock [us]: no event before this time will follow. None: the time
+            of the last event. `libcaer` can carry it in empty packets only.
+
+    Returns:
+        The packet. Without events it has no payload and its `time_base` is `complete_until`.
+
+    Raises:
+        CodecError: Unknown encoding, events it cannot carry, an empty packet without
+            `complete_until`, or a `complete_until` before the last event.
+    """
+    codec = _codec(encoding)
+    if len(events) == 0:
+        return EncodedPacket(encoding, _empty_time(complete_until) * 1000, np.empty(0, np.uint8))
+    if events.t[0] < 0:
+        raise CodecError(
+            f'first event is at {events.t[0]} us: packets hold times after the epoch; add the '
+            "origin of the camera's clock first"
+        )
+    if complete_until is not None and complete_until < events.t[-1]:
+        raise CodecError(
+            f'complete_until = {complete_until} us lies before the last event at '
+            f'{events.t[-1]} us: give the later of both'
+        )
+    return codec.encode(_contiguous(events), complete_until)
+
+
+def decode(
+    payload: Payload,
+    encoding: str,
+    time_base: int,
+    *,
+    width: int,
+    height: int,
+) -> DecodedPacket:
+    """Decode one packet.
+
+    Args:
+        payload: Encoded bytes: anything with a buffer, for example the field `events` of a message.
+        encoding: One of `ENCODINGS`.
+        time_base: Field of the same name, camera clock [ns].
+        width: Columns of the sensor; events outside are an error.
+        height: Rows of the sensor.
+
+    Returns:
+        Events on the camera clock, sub-microsecond part of `time_base` discarded.
+
+    Raises:
+        CodecError: Unknown encoding, truncated or damaged payload, an event outside the sensor, or
+            a `time_base` that is negative or too large.
+    """
+    codec = _codec(encoding)
+    start_us = int(time_base) // 1000
+    if not 0 <= time_base < MAX_TIME_BASE:
+        raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
+    # A copy has one type for all buffers: the decoders are compiled for aligned arrays only.
+    data = np.frombuffer(payload, np.uint8).copy()
+    if data.size == 0:
+        return DecodedPacket(Events.empty(), start_us)
+    return codec.decode(data, start_us, width=int(width), height=int(height))
+
+
+def decode_message(message: PacketMessage | OwnPacket) -> DecodedPacket:
+    """Decode an `event_camera_msgs/EventPacket`, or return what another packet holds.
+
+    Args:
+        message: The message; its own width and height bound the coordinates.
+
+    Raises:
+        CodecError: As `decode`, and for big-endian payloads and packets over `MAX_SPAN_US`.
+    """
+    if isinstance(message, OwnPacket):
+        return message.content
+    if message.is_bigendian:
+        raise CodecError('event packet is big-endian: record or publish it little-endian')
+    return _bounded(
+        decode(
+            message.events,
+            message.encoding,
+            message.time_base,
+            width=message.width,
+            height=message.height,
+        )
+    )
+
+
+class StreamDecoder:
+    """Decodes the messages of one topic of a recording in their order; each pass needs its own.
+
+    It reads all of `READABLE`: packets of `evt3` continue the ones before them.
+
+    Attributes:
+        timed: Whether the times of the latest packet mean anything: those of `evt3` do not before
+            the first that is whole.
+    """
+
+    def __init__(self) -> None:
+        self.timed = True
+        self._evt3 = foreign.Evt3Decoder()
+
+    def decode(self, message: PacketMessage) -> DecodedPacket:
+        """Decode the next message; see `decode_message`.
+
+        Raises:
+            CodecError: As `decode_message`.
+        """
+        if message.encoding != foreign.EVT3:
+            return decode_message(message)
+        data = np.frombuffer(message.events, np.uint8).copy()
+        size = {'width': int(message.width), 'height': int(message.height)}
+        packet = _bounded(self._evt3.decode(data, **size))
+        self.timed = self._evt3.timed
+        return packet
+
+
+def _bounded(packet: DecodedPacket) -> DecodedPacket:
+    if packet.complete_until - packet.start_us > MAX_SPAN_US:
+        raise CodecError(
+            f'event packet of {packet.complete_until - packet.start_us} us is longer than '
+            f'{MAX_SPAN_US} us'
+        )
+    if packet.complete_until * 1000 >= MAX_TIME_BASE:
+        raise CodecError(f'event packet ends at {packet.complete_until} us, after all ROS stamps')
+    return packet
+
+
+def warm_up() -> None:
+    """Compile (or load) all encoders and decoders, so that the first packet is not late."""
+    one = Events(
+        np.zeros(1, np.int64), np.zeros(1, np.uint16), np.zeros(1, np.uint16), np.ones(1, np.bool_)
+    )
+    for encoding in ENCODINGS:
+        packet = encode(one, encoding, complete_until=1)
+        decode(packet.payload, encoding, packet.time_base, width=1, height=1)
+
+
+def _codec(encoding: str) -> Codec:
+    try:
+        return _CODECS[encoding]
+    except KeyError:
+        raise CodecError(
+            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)};'
+            f' {foreign.EVT3} is read from recordings only'
+        ) from None
+
+
+def _empty_time(complete_until: int | None) -> int:
+    if complete_until is None or complete_until < 0:
+        raise CodecError(f'an empty packet needs complete_until [us] >= 0, got {complete_until}')
+    return int(complete_until)
+
+
+def _contiguous(events: Events) -> Events:
+    """Return the events in the one memory layout that the encoders are compiled for."""
+    return Events(
+        np.ascontiguousarray(events.t, np.int64),
+        np.ascontiguousarray(events.x, np.uint16),
+        np.ascontiguousarray(events.y, np.uint16),
+        np.ascontiguousarray(events.polarity, np.bool_),
+    )

@@ -1,0 +1,331 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The compressed encoding `libcaer_cmp` of `event_camera_msgs/EventPacket`.
+
+Little-endian 16-bit words: a code in the top 4 bits and a value in the low 12.
+
+==== =========== ====================================== =====================================
+code name        value                                  effect
+==== =========== ====================================== =====================================
+0    TIME_HIGH   bits 12 to 23 of dt [us]               sets the upper half of the time
+1    TIME_LOW    bits 0 to 11 of dt [us]                sets the lower half of the time
+2    ADDR_X      column (11 bits)                       sets the column
+3    ADDR_Y      row (11 bits), polarity (bit 11)       one event
+4    VECT_BASE_Y first row (11 bits), polarity (bit 11) sets the base of the vectors that follow
+5    VECT_8      8 valid bits                           events at base + bit, then base += 8
+==== =========== ====================================== =====================================
+
+dt counts from `time_base` [ns], the camera time of the packet's first event; both halves start
+at 0 in every packet. A TIME_LOW always follows a TIME_HIGH, because decoders that stop at a time
+limit look at the clock only there. After the last event this encoder may set the time once more:
+to decoders that do not know, this is a time word like any other; to ours it says up to which time
+the stream is complete.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.packets import CodecError, DecodedPacket, EncodedPacket
+
+Times = NDArray[np.int64]
+Words = NDArray[np.uint16]
+Flags = NDArray[np.bool_]
+
+
+MAX_COORDINATE: Final = (1 << 11) - 1
+MAX_SPAN_US: Final = (1 << 24) - 1
+_TIME_LOW: Final = 1 << 12
+_ADDR_X: Final = 2 << 12
+_ADDR_Y: Final = 3 << 12
+_VECT_BASE_Y: Final = 4 << 12
+_VECT_8: Final = 5 << 12
+_ON: Final = 1 << 11
+SHORTEST_VECTOR: Final = 3
+"""Fewest events worth a vector: it takes two words for up to eight."""
+# Faults are negative numbers, so that the kernels run without the GIL.
+UNSORTED: Final = -1
+TOO_LONG: Final = -2
+OUTSIDE: Final = -3
+UNKNOWN_CODE: Final = -4
+NO_COLUMN: Final = -5
+NO_BASE: Final = -6
+
+
+@njit(cache=True, nogil=True)
+def encode_words(
+    t: Times, x: Words, y: Words, polarity: Flags, end: int, words: Words
+) -> tuple[int, int]:
+    """Write all events and the final time; return (words, 0) or (fault, event)."""
+    count = len(t)
+    used = 0
+    dt = 0
+    high = 0
+    column = -1
+    first = int(np.int64(0))
+    while first < count:
+        now = t[first] - t[0]
+        if now < dt:
+            return UNSORTED, first
+        if now > MAX_SPAN_US:
+            return TOO_LONG, first
+        x_first = int(x[first])
+        y_first = int(y[first])
+        if (x_first | y_first) > MAX_COORDINATE:
+            return OUTSIDE, first
+        # Each word is written, then kept or not, without branches: which words are needed is
+        # random, and a mispredicted branch costs more than all of them.
+        words[used] = now >> 12
+        used += int((now >> 12) != high)
+        high = now >> 12
+        words[used] = _TIME_LOW | (now & 0xFFF)
+        used += int(now != dt)
+        dt = now
+        words[used] = _ADDR_X | x_first
+        used += int(x_first != column)
+        column = x_first
+        last = _end_of_run(t, x, y, polarity, first)
+        on = int(polarity[first]) * _ON
+        if last - first < SHORTEST_VECTOR:
+            for i in range(first, last):
+                words[used] = _ADDR_Y | on | y[i]
+                used += 1
+        else:
+            used = _write_run(words, used, y, first, last, on)
+        if y[last - 1] > MAX_COORDINATE:
+            return OUTSIDE, last - 1
+        first = last
+    if end - t[0] > MAX_SPAN_US:
+        return TOO_LONG, count
+    return _write_time(words, used, dt, end - t[0]), 0
+
+
+@njit(cache=True, nogil=True)
+def _write_time(words: Words, used: int, dt: int, now: int) -> int:
+    """Write the time words that lead from `dt` to `now`; return the words used."""
+    if now == dt:
+        return used
+    if (now >> 12) != (dt >> 12):
+        words[used] = now >> 12
+        used += 1
+    words[used] = _TIME_LOW | (now & 0xFFF)
+    return used + 1
+
+
+@njit(cache=True, nogil=True)
+def _end_of_run(t: Times, x: Words, y: Words, polarity: Flags, first: int) -> int:
+    """Return the end of the run from `first` on of events that differ in increasing rows only."""
+    last = first + 1
+    while (
+        last < len(t)
+        and y[last] > y[last - 1]
+        and x[last] == x[first]
+        and t[last] == t[first]
+        and polarity[last] == polarity[first]
+    ):
+        last += 1
+    return last
+
+
+@njit(cache=True, nogil=True)
+def _write_run(words: Words, used: int, y: Words, first: int, last: int, on: int) -> int:
+    """Write a run of one column, as vectors where they are shorter; return the words used.
+
+    Rows are in blocks of 8. A chain of adjacent blocks costs one word per block and one for the
+    base. Skipping an empty block costs as much as a new base, so that coding each chain separately
+    is shortest.
+    """
+    while first < last:
+        start = y[first] >> 3
+        block = start
+        end = first + 1
+        while end < last and (y[end] >> 3) <= block + 1:
+            block = y[end] >> 3
+            end += 1
+        blocks = block - start + 1
+        if end - first > blocks + 1:
+            words[used] = _VECT_BASE_Y | on | (start << 3)
+            words[used + 1 : used + 1 + blocks] = _VECT_8
+            for i in range(first, end):
+                words[used + 1 + (y[i] >> 3) - start] |= 1 << (y[i] & 7)
+            used += 1 + blocks
+        else:
+            for i in range(first, end):
+                words[used] = _ADDR_Y | on | y[i]
+                used += 1
+        first = end
+    return used
+
+
+@njit(cache=True, nogil=True)
+def count_events(words: Words) -> tuple[int, int]:
+    """Return (events, 0), or (fault, word) if the order of the words is invalid."""
+    count = 0
+    column = False
+    base = False
+    for i in range(len(words)):
+        code = words[i] >> 12
+        if code == 3:
+            if not column:
+                return NO_COLUMN, i
+            count += 1
+        elif code == 5:
+            if not (base and column):
+                return (NO_BASE if column else NO_COLUMN), i
+            for bit in range(8):
+                count += (words[i] >> bit) & 1
+        elif code > 5:
+            return UNKNOWN_CODE, i
+        column = column or code == 2
+        base = base or code == 4
+    return count, 0
+
+
+@njit(cache=True, nogil=True)
+def decode_words(
+    words: Words, start: int, width: int, height: int, t: Times, x: Words, y: Words, polarity: Flags
+) -> tuple[int, int]:
+    """Fill the event arrays; return (final dt, 0) or (fault, word)."""
+    n = np.int64(0)
+    high = np.int64(0)
+    low = np.int64(0)
+    column = np.int64(0)
+    base = np.int64(0)
+    base_on = False
+    for i in range(len(words)):
+        word = np.int64(words[i])
+        code = word >> 12
+        if code == 3:
+            row = word & MAX_COORDINATE
+            if row >= height or column >= width:
+                return OUTSIDE, i
+            t[n] = start + (high | low)
+            x[n] = column
+            y[n] = row
+            polarity[n] = (word & _ON) != 0
+            n += 1
+        elif code == 2:
+            column = word & MAX_COORDINATE
+        elif code == 1:
+            low = word & 0xFFF
+        elif code == 0:
+            high = (word & 0xFFF) << 12
+        elif code == 4:
+            base = word & MAX_COORDINATE
+            base_on = (word & _ON) != 0
+        else:
+            after = _decode_vector(word, n, width - column, height - base, y)
+            if after < 0:
+                return OUTSIDE, i
+            for k in range(n, after):
+                t[k] = start + (high | low)
+                x[k] = column
+                y[k] += base
+                polarity[k] = base_on
+            n = after
+            base += 8
+    return int(high | low), 0
+
+
+@njit(cache=True, nogil=True)
+def _decode_vector(word: int, n: int, columns_left: int, rows_left: int, y: Words) -> int:
+    """Write the rows of a vector, counted from its base; return their end, or -1 outside."""
+    for bit in range(8):
+        if (word >> bit) & 1:
+            if bit >= rows_left or columns_left <= 0:
+                return -1
+            y[n] = bit
+            n += 1
+    return n
+
+
+NAME: Final = 'libcaer_cmp'
+
+
+def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
+    """Encode events; see `mixtac_core.events.codec.encode`.
+
+    Args:
+        events: At least one event, camera clock, times not decreasing.
+        complete_until: Camera clock [us], not before the last event, or None.
+
+    Raises:
+        CodecError: Coordinates over 11 bits, times that decrease or span more than 24 bits.
+    """
+    start = int(events.t[0])
+    end = int(events.t[-1]) if complete_until is None else complete_until
+    words = np.empty(4 * len(events) + 2, np.uint16)
+    used, at = encode_words(events.t, events.x, events.y, events.polarity, end, words)
+    if used < 0:
+        raise _encode_error(used, events, at, end)
+    return EncodedPacket(NAME, start * 1000, words[:used].view(np.uint8).copy())
+
+
+def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
+    if fault == UNSORTED:
+        before = int(events.t[at - 1])
+        return CodecError(
+            f'event {at} is at {events.t[at]} us, before the one at {before} us: sort events by t'
+        )
+    if fault == TOO_LONG:
+        last = int(events.t[at]) if at < len(events) else end
+        return CodecError(
+            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds '
+            f'{MAX_SPAN_US} us: cut the stream into shorter packets'
+        )
+    return CodecError(
+        f'event {at} lies at ({events.x[at]}, {events.y[at]}); libcaer_cmp holds coordinates up to '
+        f'{MAX_COORDINATE}: use the encoding libcaer for larger sensors'
+    )
+
+
+def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int) -> DecodedPacket:
+    """Decode a packet that is not empty; see `mixtac_core.events.codec.decode`.
+
+    Args:
+        payload: Encoded bytes.
+        start_us: `time_base` in microseconds, camera clock.
+        width: Columns of the sensor.
+        height: Rows of the sensor.
+
+    Raises:
+        CodecError: Odd length, unknown word, event before a column or base, or outside the sensor.
+    """
+    if payload.size % 2:
+        raise CodecError(
+            f'libcaer_cmp payload of {payload.size} bytes: truncated, a word has 2 bytes'
+        )
+    words = payload.view(np.uint16)
+    count, at = count_events(words)
+    if count < 0:
+        raise _decode_error(count, words, at, width, height)
+    events = Events.empty(count)
+    dt, at = decode_words(
+        words, start_us, width, height, events.t, events.x, events.y, events.polarity
+    )
+    if dt < 0:
+        raise _decode_error(dt, words, at, width, height)
+    return DecodedPacket(events, start_us + dt)
+
+
+def _decode_error(
+    fault: int, words: NDArray[np.uint16], at: int, width: int, height: int
+) -> CodecError:
+    where = f'libcaer_cmp word {at} (0x{int(words[at]):04x})'
+    if fault == UNKNOWN_CODE:
+        return CodecError(
+            f'{where} has unknown code {words[at] >> 12}: not libcaer_cmp, or damaged'
+        )
+    if fault == NO_COLUMN:
+        return CodecError(f'{where} is an event before any column word: the packet lost its start')
+    if fault == NO_BASE:
+        return CodecError(f'{where} is a vector before any base word: the packet lost its start')
+    return CodecError(
+        f'{where} is an event outside the sensor of {width} x {height}: give the width and height '
+        'of the camera that made the packet'
+    )

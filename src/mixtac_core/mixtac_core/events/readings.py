@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of a camera besides events: frames, inertial samples, edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_core.events.arrays import Events
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2]"""
+
+
+class EdgeKind(IntEnum):
+    """Kinds of edges at the synchronisation connector."""
+
+    EXTERNAL_FALLING = 2
+    EXTERNAL_RISING = 3
+    EXTERNAL_PULSE = 4
+    GENERATOR_FALLING = 16
+    GENERATOR_RISING = 17
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Edges of the external input and the generator.
+
+    Attributes:
+        t: `int64` [n], time [us, camera clock].
+        kind: `uint8` [n], values of EdgeKind.
+    """
+
+    t: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Edges:
+        """Return some of the edges."""
+        return Edges(self.t[rows], self.kind[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A frame of the active pixel sensor; times [us] are on the camera clock.
+
+    Attributes:
+        image: `uint16` [height, width], 0 .. 1023.
+        x: Column of the image's first column in the whole array.
+        y: Row of the image's first row in the whole array.
+        frame_start_us: Start of the frame.
+        exposure_start_us: Start of the exposure.
+        exposure_end_us: End of the exposure.
+        frame_end_us: End of the read-out.
+        exposure_cycles: Exposure that was set, in ADC cycles.
+        global_shutter: True where all pixels are exposed at once.
+    """
+
+    image: NDArray[np.uint16]
+    x: int
+    y: int
+    frame_start_us: int
+    exposure_start_us: int
+    exposure_end_us: int
+    frame_end_us: int
+    exposure_cycles: int
+    global_shutter: bool
+
+    @property
+    def middle_us(self) -> int:
+        """Middle of the exposure [us, camera clock]: the stamp of the published image."""
+        return (self.exposure_start_us + self.exposure_end_us) // 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialSamples:
+    """Samples of the inertial unit in SI units; missing values are NaN.
+
+    Attributes:
+        t: `int64` [n], time [us, camera clock].
+        acceleration: `float64` [n, 3], x, y, z [m/s^2].
+        angular_velocity: `float64` [n, 3], x, y, z [rad/s].
+        temperature: `float64` [n], [degrees Celsius].
+    """
+
+    t: NDArray[np.int64]
+    acceleration: NDArray[np.float64]
+    angular_velocity: NDArray[np.float64]
+    temperature: NDArray[np.float64]
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> InertialSamples:
+        """Return some of the samples."""
+        return InertialSamples(
+            self.t[rows],
+            self.acceleration[rows],
+            self.angular_velocity[rows],
+            self.temperature[rows],
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[InertialSamples]) -> InertialSamples:
+        """Return the samples of all parts, at least one, in the order given."""
+        return cls(
+            np.concatenate([part.t for part in parts]),
+            np.concatenate([part.acceleration for part in parts]),
+            np.concatenate([part.angular_velocity for part in parts]),
+            np.concatenate([part.temperature for part in parts]),
+        )
+
+
+def inertial_samples(
+    t: NDArray[np.int64], raw: NDArray[np.uint8], flips: tuple[bool, bool, bool], imu_type: int
+) -> InertialSamples:
+    """Convert inertial samples to SI units.
+
+    Args:
+        t: `int64` [n], times [us].
+        raw: `uint8` [n, 15]: acceleration x, y, z, temperature, rotation x, y, z as big-endian
+            16-bit integers, then the info byte (which groups are present, their scales).
+        flips: Axes of the unit that are inverted.
+        imu_type: 1 for MPU6050, 2 for MPU9250, whose temperature scales differ.
+    """
+    count = len(t)
+    acceleration, rotation = np.empty((count, 3)), np.empty((count, 3))
+    temperature = np.empty(count)
+    scale, offset = (340.0, 35.0) if imu_type == 1 else (333.87, 21.0)
+    # Compiled: a camera sends a sample per millisecond, and dozens of small arrays take longer.
+    _convert(raw, flips, scale, offset, acceleration, rotation, temperature)
+    return InertialSamples(t.copy(), acceleration, rotation, temperature)
+
+
+@njit(cache=True, nogil=True)
+def _convert(
+    raw: NDArray[np.uint8],
+    flips: tuple[bool, bool, bool],
+    scale: float,
+    offset: float,
+    acceleration: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    temperature: NDArray[np.float64],
+) -> None:
+    """Fill the arrays that `inertial_samples` returns, given the scale of the temperature."""
+    for row in range(raw.shape[0]):
+        info = raw[row, 14]
+        m_s2 = (4 << (info >> 2 & 3)) / 65536 * STANDARD_GRAVITY if info & 0x80 else np.nan
+        rad_s = (500 << (info & 3)) / 65536 * (np.pi / 180.0) if info & 0x40 else np.nan
+        for axis in range(3):
+            sign = -1.0 if flips[axis] else 1.0
+            acceleration[row, axis] = _signed(raw, row, axis) * sign * m_s2
+            rotation[row, axis] = _signed(raw, row, 4 + axis) * sign * rad_s
+        degrees = _signed(raw, row, 3) / scale + offset
+        temperature[row] = degrees if info & 0x20 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _signed(raw: NDArray[np.uint8], row: int, place: int) -> float:
+    """Return one of the big-endian 16-bit integers of a sample."""
+    value = np.int64(raw[row, 2 * place]) << 8 | np.int64(raw[row, 2 * place + 1])
+    return float(value - 65536 if value & 0x8000 else value)
+
+
+NO_EDGES = Edges(np.empty(0, np.int64), np.empty(0, np.uint8))
+NO_SAMPLES = InertialSamples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedBatch:
+    """Readings of one stretch of the stream.
+
+    All times are [us] on the camera clock since its reset number `resets`.
+
+    Attributes:
+        events: Views into the decoder's arrays, valid until its next call; copy them to keep them.
+        frames: Complete frames.
+        imu: Inertial samples.
+        edges: Edges of the external input and the generator.
+        time_us: Time that the stream has reached.
+        resets: Resets of the camera's clock before this stretch; it never spans one.
+    """
+
+    events: Events
+    frames: tuple[Frame, ...]
+    imu: InertialSamples
+    edges: Edges
+    time_us: int
+    resets: int

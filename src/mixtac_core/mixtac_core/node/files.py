@@ -1,0 +1,328 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Files that people and programs read: written whole or not at all, read into checked dataclasses.
+
+Every error names the path.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import difflib
+import errno
+import fcntl
+import functools
+import json
+import os
+import re
+import secrets
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import yaml
+
+from mixtac_core.events.errors import MixtacError
+
+if TYPE_CHECKING:
+    # `ros2 launch` reads parameter files with an interpreter that has only what ROS brings.
+    import cattrs
+
+T = TypeVar('T')
+
+
+class FileError(MixtacError):
+    """A file that cannot be read or written, or whose content is not what it should be."""
+
+
+_PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,199}')
+
+
+def state_file(name: str) -> Path:
+    """Return the file of a name in the user's state folder.
+
+    The folder is `$MIXTAC_HOME`, or else `$XDG_STATE_HOME/mixtac` (`~/.local/state/mixtac`). Nodes
+    take names of files to write from parameters, which anyone on the network may set: they write
+    nowhere else.
+
+    Args:
+        name: At most 200 letters, digits, `.`, `_` and `-`; or the full path of such a file in
+            this folder.
+
+    Raises:
+        FileError: The name is not plain.
+    """
+    home = os.environ.get('MIXTAC_HOME')
+    state = os.environ.get('XDG_STATE_HOME') or '~/.local/state'
+    folder = Path(home or f'{state}/mixtac').expanduser()
+    path = Path(name).expanduser()
+    plain = path.name if path.parent in {Path(), folder} else name
+    if not _PLAIN.fullmatch(plain):
+        raise FileError(
+            f'{name!r} is not the name of a file in {folder}',
+            remedy='give a name of at most 200 letters, digits, ".", "_" and "-", such as'
+            ' left_finger.npz, or set MIXTAC_HOME to another folder',
+        )
+    return folder / plain
+
+
+def writable(path: Path | None) -> Path | None:
+    """Return the path of a file to write, checked before the work whose result it is to hold.
+
+    Raises:
+        FileError: It is a folder, a device or a pipe, or lies in no folder that can be written or
+            made.
+    """
+    if path is None:
+        return None
+    try:
+        # A file that takes its place would replace a device for all programs.
+        if not path.name or (path.exists() and not path.is_file()):
+            raise FileError(f'cannot write {path}: it is no plain file', remedy='name a file')
+        folder = next(each for each in path.absolute().parents if each.exists())
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            raise FileError(f'cannot write {path}', remedy='choose a writable folder')
+    except OSError as error:
+        raise FileError(f'cannot write {path}: {error.strerror or error}') from error
+    return path
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
+
+    Makes the parent folder. When the block raises, `path` keeps what it held. A link stays one: the
+    file that it leads to is replaced.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    writable(path)
+    target = Path(os.path.realpath(path))
+    scratch = target.with_name(f'.{target.stem}.{secrets.token_hex(4)}{path.suffix}')
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield scratch
+        scratch.replace(target)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(
+            f'cannot write {path}: {reason}', remedy='choose a writable place with free space'
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+
+
+_UNFINISHED = '.unfinished-'
+_OLD_S = 60.0
+
+
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield the path of a folder to make, and move it to `path` on success.
+
+    Makes the parent folder. When the block raises, nothing is left; what a killed process left
+    beside `path` is removed by the next one.
+
+    Raises:
+        FileError: `path` exists, also when the block has ended, or cannot be written.
+    """
+    try:
+        if path.exists() or path.name in ('', '..'):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for left in path.parent.glob(f'{_UNFINISHED}*'):
+            _sweep(left)
+        scratch = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=path.parent))
+        try:
+            with locked(scratch):
+                yield scratch / path.name
+                (scratch / path.name).rename(path)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(
+            f'cannot write {path}: {reason}', remedy='choose a new folder with free space'
+        ) from error
+
+
+def _sweep(folder: Path) -> None:
+    """Remove an unfinished folder if it is old and its process has ended."""
+    with contextlib.suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _OLD_S:
+            with locked(folder, wait=False):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def locked(folder: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of a folder, which ends with the process, however that ends.
+
+    Args:
+        folder: It must exist.
+        wait: Wait for other processes, and go on without a lock where the file system has none;
+            otherwise both are errors.
+
+    Raises:
+        OSError: See above, or the folder cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        if wait:
+            with contextlib.suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        else:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    with replacing(path) as scratch:
+        scratch.write_text(text, encoding='utf-8')
+
+
+def write_json(path: Path | None, data: object) -> None:
+    """Write a JSON file with an indent of 2, whole or not at all; nothing to None.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    if path is not None:
+        write_text(path, json.dumps(data, indent=2) + '\n')
+
+
+def load_yaml(text: str) -> Any:  # noqa: ANN401
+    """Return the content of a YAML document of plain values.
+
+    Raises:
+        FileError: It is not valid.
+    """
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise FileError(f'not valid YAML: {reason}') from error
+
+
+def read_data(path: Path) -> Any:  # noqa: ANN401
+    """Return the content of a YAML file, or of a JSON file (by its suffix).
+
+    Raises:
+        FileError: It is missing, unreadable, or neither.
+    """
+    try:
+        text = path.read_text(encoding='utf-8')
+        return json.loads(text) if path.suffix == '.json' else load_yaml(text)
+    except OSError as error:
+        raise FileError(f'cannot read {path}: {error.strerror or error}') from error
+    except FileError as error:
+        raise FileError(f'{path} is {error.message}') from error
+    except (ValueError, RecursionError) as error:
+        kind = 'JSON' if path.suffix == '.json' else 'YAML'
+        reason = ' '.join(str(error).split())
+        raise FileError(f'{path} is not valid {kind}: {reason}') from error
+
+
+def read_dataclass(path: Path, cls: type[T]) -> T:
+    """Return the content of a YAML or JSON file as a dataclass; see `structure`.
+
+    Raises:
+        FileError: The file cannot be read, or a value is not allowed.
+    """
+    return structure(read_data(path), cls, str(path))
+
+
+def structure(data: object, cls: type[T], where: str) -> T:
+    """Return a dataclass from mappings, lists and plain values, checked against its types.
+
+    Unknown keys are refused with the nearest known one. Values are not converted, except for
+    integers where floats are expected.
+
+    Args:
+        data: As YAML and JSON give it.
+        cls: The dataclass, or any type of its fields.
+        where: File or section, for the message.
+
+    Raises:
+        FileError: A key is unknown or missing, or a value has another type or is not allowed.
+    """
+    import cattrs
+
+    try:
+        return _converter().structure(data, cls)
+    except (
+        cattrs.BaseValidationError,
+        MixtacError,
+        ValueError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise FileError(f'{where}: {_reason(error)}') from error
+
+
+@functools.cache
+def _converter() -> cattrs.Converter:
+    import cattrs
+
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    for kind in (bool, int, float, str):
+        converter.register_structure_hook(kind, functools.partial(_plain, kind))
+    converter.register_structure_hook_factory(
+        dataclasses.is_dataclass, functools.partial(_of_mapping, converter)
+    )
+    return converter
+
+
+def _of_mapping(converter: cattrs.Converter, cls: type[Any]) -> Any:  # noqa: ANN401
+    from cattrs.gen import make_dict_structure_fn
+
+    build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
+
+    def checked(value: object, kind: type[Any]) -> Any:  # noqa: ANN401
+        if not isinstance(value, dict):
+            raise TypeError(f'a mapping is expected, not {value!r}')
+        return build(value, kind)
+
+    return checked
+
+
+def _plain(kind: type[Any], value: object, _: object = None) -> Any:  # noqa: ANN401
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise TypeError(f'{kind.__name__} is expected, not {value!r}')
+    return value
+
+
+def _reason(error: BaseException) -> str:
+    import cattrs
+    from cattrs.errors import ForbiddenExtraKeysError
+
+    if isinstance(error, ForbiddenExtraKeysError):
+        known = [each.name for each in dataclasses.fields(error.cl)]
+        unknown = min(map(str, error.extra_fields))
+        near = difflib.get_close_matches(unknown, known, 1) or [', '.join(known)]
+        return f'unknown key {unknown!r}; did you mean {near[0]}?'
+    if isinstance(error, KeyError):
+        return f'key {error.args[0]!r} is missing'
+    if isinstance(error, cattrs.BaseValidationError):
+        # An unknown key first: it often is a key that is missing under another name.
+        first = min(error.exceptions, key=lambda e: not isinstance(e, ForbiddenExtraKeysError))
+        notes = getattr(first, '__notes__', [])
+        names = [note.name for note in notes if hasattr(note, 'name')]
+        inner = _reason(first)
+        return f'{names[0]}: {inner}' if names and not isinstance(first, KeyError) else inner
+    return str(error)

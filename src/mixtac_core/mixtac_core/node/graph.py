@@ -1,0 +1,271 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes of a sensor: which there are, and the command that starts each of them.
+
+`mixtac up`, the launch files and the benchmarks read this description.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mixtac_core.node.process import GraphError
+from mixtac_core.node.share import share
+from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """One node process.
+
+    Attributes:
+        module: Module whose `main` runs the node; its last name ends in `_node`.
+        name: Node name.
+        lifecycle: True if the node waits to be configured and activated.
+        required: True if a launch file ends the graph when this process ends.
+        overrides: Parameter values that take precedence over the parameter files.
+    """
+
+    module: str
+    name: str
+    lifecycle: bool = False
+    required: bool = False
+    overrides: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def package(self) -> str:
+        """Package that installs the executable."""
+        return self.module.partition('.')[0]
+
+    @property
+    def executable(self) -> str:
+        """Name of the executable."""
+        return self.module.rpartition('.')[2]
+
+    def parameter_files(self, params_file: Path | None = None) -> list[Path]:
+        """Return the parameter files of this process; later ones take precedence.
+
+        Args:
+            params_file: File that overrides the shipped ones.
+
+        Raises:
+            GraphError: The file does not exist.
+        """
+        shipped = [config_file(f'{self.name}.yaml')]
+        if params_file is None:
+            return shipped
+        if not params_file.is_file():
+            raise GraphError(f'no parameter file {params_file}')
+        return [*shipped, params_file]
+
+    def ros_arguments(self, params_file: Path | None = None, log_level: str = 'info') -> list[str]:
+        """Return the ROS arguments of this process except for its name and namespace.
+
+        Overrides are `-p` arguments, which reach every node of the process.
+
+        Args:
+            params_file: File that overrides the shipped ones.
+            log_level: Lowest severity that the node logs.
+
+        Raises:
+            GraphError: A parameter file does not exist.
+        """
+        arguments = ['--ros-args', '--log-level', log_level]
+        for file in self.parameter_files(params_file):
+            arguments += ['--params-file', str(file)]
+        for name, value in self.overrides.items():
+            arguments += ['-p', f'{name}:={yaml_value(value)}']
+        return arguments
+
+    def command(
+        self, namespace: str, params_file: Path | None = None, log_level: str = 'info'
+    ) -> list[str]:
+        """Return the command line of this node.
+
+        Args:
+            namespace: ROS namespace.
+            params_file: File that overrides the shipped ones.
+            log_level: Lowest severity that the node logs.
+
+        Raises:
+            GraphError: A parameter file does not exist.
+        """
+        names = ['-r', f'__ns:=/{namespace.strip("/")}', '-r', f'__node:={self.name}']
+        return [
+            *(sys.executable, '-m', 'mixtac_core.node', self.module),
+            *self.ros_arguments(params_file, log_level),
+            *names,
+        ]
+
+
+def config_file(name: str) -> Path:
+    """Return the path of a shipped configuration file.
+
+    Raises:
+        GraphError: mixtac_bringup, which has these files, is not installed.
+    """
+    # Not in package.xml: mixtac_bringup depends on this package, colcon refuses circles.
+    return share('mixtac_bringup') / 'config' / name
+
+
+NO_DRIVER = 'none'
+"""Device of a graph without a driver."""
+
+
+def is_virtual(device: str) -> bool:
+    """Return whether a device is the virtual sensor."""
+    return device.partition(':')[0] == 'virtual'
+
+
+def is_camera(device: str) -> bool:
+    """Return whether a device is a real camera: neither the virtual sensor nor a recording."""
+    return not is_virtual(device) and not Path(device).exists() and '/' not in device
+
+
+def sensor_graph(
+    device: str,
+    *,
+    driver: Mapping[str, object] | None = None,
+    estimator: Mapping[str, object] | None = None,
+    virtual_sensor: Mapping[str, object] | None = None,
+    slip: Mapping[str, object] | None = None,
+    align: bool = False,
+    view: bool = False,
+    simulated_time: bool = False,
+    reference_topic: str = '',
+) -> list[NodeSpec]:
+    """Return the nodes from the camera to the force, in the order in which they are started.
+
+    Args:
+        device: `davis346`, `virtual`, `virtual:SOCKET`, the path of a recording, or `none`: other
+            programs publish the driver's topics, as `ros2 bag play` does.
+        driver: Overrides of the driver's parameters.
+        estimator: Overrides of the force estimator's parameters.
+        virtual_sensor: Overrides of the virtual sensor's parameters.
+        slip: Parameters of slip control; None leaves it out.
+        align: Add the nodes that align the reference force and publish the error against it.
+        view: Add the live view.
+        simulated_time: All nodes but the driver follow `/clock`. The driver publishes it from a
+            recording, the virtual sensor from its simulation, a bag player without a driver.
+        reference_topic: Topic of the reference force; empty keeps the topic of the parameter files.
+
+    Raises:
+        GraphError: A driver's parameter for a graph without a driver.
+    """
+    reference = {'reference_topic': reference_topic} if reference_topic else {}
+    follow = {'use_sim_time': True} if simulated_time else {}
+    nodes = []
+    if is_virtual(device):
+        path = device.partition(':')[2]
+        own: dict[str, object] = {**({'socket': path} if path else {}), **reference}
+        # A slow host slows the clock of all nodes down.
+        own |= {'publish_clock': True} if simulated_time else {}
+        own |= virtual_sensor or {}
+        nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
+    if view:
+        nodes.append(node('mixtac.view', 'view', overrides=follow))
+    if align:
+        nodes += [
+            node('mixtac_fger.alignment', 'alignment', overrides={**reference, **follow}),
+            node('mixtac_fger.alignment', 'force_error', overrides=follow),
+        ]
+    if device != NO_DRIVER:
+        own = {'device': device, **(driver or {})}
+        if simulated_time and not is_virtual(device):
+            own = {'playback_clock': True, **own}
+        nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
+    elif driver:
+        raise GraphError(
+            f'{next(iter(driver))} is for a driver, which device {NO_DRIVER} leaves out',
+            remedy='name a device, or leave it out',
+        )
+    if slip is not None:
+        nodes.append(slip_control({**follow, **slip}))
+    # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
+    recorded = simulated_time or not is_camera(device)
+    own = {**({'assume_free': True} if recorded else {}), **follow, **(estimator or {})}
+    nodes.append(node('mixtac_fger', 'fger', lifecycle=True, required=True, overrides=own))
+    return nodes
+
+
+def node(where: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
+    """Return the node of the module `<name>_node` of a package; options as of `NodeSpec`."""
+    return NodeSpec(f'{where}.{name}_node', name, **options)
+
+
+def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
+    """Return the slip control node.
+
+    Args:
+        overrides: Parameters, such as `arm` and `detector`.
+    """
+    return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
+
+
+def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] = ()) -> NodeSpec:
+    """Return the node that records the sensor's topics to a new bag.
+
+    Args:
+        output: Folder of the bag.
+        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
+        exclude: Topics that are not recorded; without any, as the parameter files have it.
+    """
+    overrides = {'output': str(output)}
+    if exclude:
+        overrides['exclude'] = ' '.join(each.name for each in exclude)
+    if reference_topic:
+        overrides['reference_topic'] = reference_topic
+    return node('mixtac.record', 'recorder', overrides=overrides)
+
+
+ROSBAG2_DEPTH = 1000
+"""Least queue depth of `ros2 bag record` for the sensor's topics; its default is 10."""
+
+
+def rosbag2_qos(
+    namespace: str = DEFAULT_NAMESPACE, reference_topic: str = REFERENCE
+) -> dict[str, dict[str, object]]:
+    """Return the QoS overrides with which `ros2 bag record` loses no messages, by topic.
+
+    Args:
+        namespace: ROS namespace of the sensor.
+        reference_topic: Topic of the reference force.
+    """
+    overrides: dict[str, dict[str, object]] = {}
+    for topic in TOPICS:
+        name = reference_topic if topic.name == REFERENCE else topic.name
+        overrides[absolute(name, namespace)] = {
+            'history': 'keep_last',
+            'depth': 1 if topic.latched else max(ROSBAG2_DEPTH, 5 * topic.depth),
+            'reliability': 'reliable' if topic.reliable else 'best_effort',
+            'durability': 'transient_local' if topic.latched else 'volatile',
+        }
+    return overrides
+
+
+def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
+    """Return the node of the live view.
+
+    Args:
+        port: Port of the page on 127.0.0.1, 0 for any free one; None keeps that of the parameter
+            files.
+        save: New .rrd file to write instead of serving a page.
+    """
+    overrides: dict[str, object] = {} if port is None else {'port': port}
+    if save is not None:
+        overrides['save'] = str(save)
+    return node('mixtac.view', 'view', overrides=overrides)
+
+
+def yaml_value(value: object) -> str:
+    """Return a parameter value as YAML for the command line."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        escaped = value.replace("'", "''")
+        return f"'{escaped}'"
+    return repr(value)

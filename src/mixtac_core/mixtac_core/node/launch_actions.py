@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Launch actions for the nodes of a graph, and the arguments that all launch files share.
+
+Needs `launch` and `launch_ros`, which come with a ROS installation only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+from launch import LaunchContext
+from launch.actions import DeclareLaunchArgument, RegisterEventHandler, SetEnvironmentVariable
+from launch.event_handlers import OnProcessExit, OnProcessIO
+from launch.logging import get_logger
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from mixtac_core.node.graph import NodeSpec
+from mixtac_core.node.process import GraphError, fatal_text, profile_environment
+from mixtac_core.node.topics import DEFAULT_NAMESPACE
+
+BOOLEAN = ['true', 'false']
+LOGGER = get_logger('launch')
+_SHARED: dict[str, dict[str, Any]] = {
+    'namespace': {
+        'default_value': DEFAULT_NAMESPACE,
+        'description': 'Namespace of all nodes and topics',
+    },
+    'params_file': {
+        'default_value': '',
+        'description': 'Parameter file that overrides the shipped ones',
+    },
+    'autostart': {
+        'default_value': 'true',
+        'choices': BOOLEAN,
+        'description': 'Configure and activate the force estimator',
+    },
+    'log_level': {
+        'default_value': 'info',
+        'description': 'Lowest severity that the nodes log: debug, info, warn, error or fatal',
+    },
+}
+
+
+def shared_arguments(*names: str) -> list[Any]:
+    """Return the declarations of launch arguments that several launch files have.
+
+    Args:
+        names: `namespace`, `params_file`, `autostart` or `log_level`.
+    """
+    return [DeclareLaunchArgument(name, **_SHARED[name]) for name in names]
+
+
+def environment() -> list[Any]:
+    """Return the actions that set the environment of all nodes."""
+    variables = {'RCUTILS_LOGGING_BUFFERED_STREAM': '1', **profile_environment(os.environ)}
+    return [SetEnvironmentVariable(*each) for each in variables.items()]
+
+
+def value(context: LaunchContext, name: str) -> str:
+    """Return a launch argument as text, empty if it has none."""
+    return str(LaunchConfiguration(name, default='').perform(context))
+
+
+def given(context: LaunchContext, *names: str) -> dict[str, object]:
+    """Return the launch arguments that are not empty, with the types that ROS gives them."""
+    texts = {name: value(context, name) for name in names}
+    return {name: _typed(text) for name, text in texts.items() if text}
+
+
+def _typed(text: str) -> object:
+    typed = yaml.safe_load(text)
+    # YAML 1.1 takes 2e-4 for a text.
+    with contextlib.suppress(ValueError):
+        return float(typed) if isinstance(typed, str) else typed
+    return typed
+
+
+def node_actions(
+    context: LaunchContext, *specs: NodeSpec, beside: Sequence[Node] = ()
+) -> list[Any]:
+    """Return the actions that start nodes, and end the launch with a node that it needs.
+
+    A launch that a node ends has a status other than 0, and the node's reason is its last line. The
+    arguments `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
+
+    Args:
+        context: Of the launch.
+        specs: The nodes.
+        beside: Nodes that are started with them and are not needed.
+
+    Raises:
+        GraphError: The parameter file does not exist.
+    """
+    nodes = [(spec.name if spec.required else '', _node(context, spec)) for spec in specs]
+    return _Graph([*nodes, *(('', node) for node in beside)]).actions()
+
+
+def _node(context: LaunchContext, spec: NodeSpec) -> Node:
+    """Return the action that starts a node."""
+    own = value(context, 'params_file')
+    if spec.lifecycle:
+        autostart = value(context, 'autostart') != 'false'
+        spec = replace(spec, overrides={'autostart': autostart, **spec.overrides})
+    return Node(
+        package=spec.package,
+        executable=spec.executable,
+        exec_name=spec.executable,
+        name=spec.name,
+        namespace=value(context, 'namespace'),
+        output='screen',
+        prefix=quiet_imports(),
+        # Not as `parameters`: launch_ros writes values for the named node only, and two nodes of
+        # one process have two names.
+        arguments=spec.ros_arguments(
+            Path(own) if own else None, value(context, 'log_level') or 'info'
+        ),
+    )
+
+
+@functools.cache
+def quiet_imports() -> str:
+    """Return the prefix with which SIGINT waits for the end of the imports; empty without one."""
+    prefix = ['env', '--block-signal=INT']
+    supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
+    return ' '.join(prefix) if supported else ''
+
+
+class _Graph:
+    """The nodes that are started together, with the names of those that the graph needs."""
+
+    def __init__(self, nodes: Sequence[tuple[str, Node]]) -> None:
+        self._nodes = nodes
+        self._running = len(nodes)
+        self._failure: GraphError | None = None
+
+    def actions(self) -> list[Any]:
+        """Return the nodes and their event handlers."""
+        return [action for name, node in self._nodes for action in self._watched(name, node)]
+
+    def _watched(self, name: str, node: Node) -> list[Any]:
+        reason = f'{name} has ended'
+
+        def read(event: Any) -> None:  # noqa: ANN401
+            nonlocal reason
+            for line in event.text.decode(errors='replace').splitlines():
+                if text := fatal_text(line):
+                    reason = f'{name}: {text}'
+
+        def ended(_event: object, context: LaunchContext) -> None:
+            self._running -= 1
+            if name and not context.is_shutdown:
+                self._failure = GraphError(reason)
+                # Unlike the event Shutdown, an exception gives the launch a status other than 0.
+                raise self._failure
+            if not self._running and self._failure:
+                LOGGER.error(str(self._failure))
+
+        return [
+            RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
+            RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
+            node,
+        ]

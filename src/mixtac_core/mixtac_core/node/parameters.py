@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Node parameters as one frozen dataclass per node: the schema that declares and checks them.
+
+A node's parameters are a frozen dataclass whose fields are made by `parameter`; the list
+`Attributes:` of its docstring describes them. The class is the only source:
+`mixtac_core.node.base_node.declare` declares ROS parameters from it, `config/*.yaml` and the tables
+of the documentation are written from it, and `build` checks values against it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import inspect
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeVar, cast
+
+import yaml
+
+from mixtac_core.events.errors import MixtacError
+
+Value = bool | int | float | str
+T = TypeVar('T')
+_KEY = 'mixtac'
+
+
+class ParameterError(MixtacError):
+    """A parameter that does not exist or whose value is not allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter: declaration and documentation.
+
+    Attributes:
+        name: ROS parameter name.
+        default: Default value; its type is the type of the parameter.
+        description: One or more sentences.
+        unit: Unit of the value, empty for none.
+        minimum: Smallest allowed number, or None.
+        maximum: Largest allowed number, or None.
+        choices: Allowed values, empty for any.
+        read_only: Whether the value is fixed while the node runs.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[Value, ...]
+    read_only: bool
+
+    def check(self, value: object) -> Value:
+        """Return `value` as this parameter's type.
+
+        Raises:
+            ParameterError: Wrong type, not finite, out of range, or none of the choices.
+        """
+        if type(self.default) is float and type(value) is int:
+            value = float(value)
+        if type(value) is not type(self.default):
+            wanted = type(self.default).__name__
+            raise ParameterError(
+                f'parameter {self.name} = {value!r}: give a value of type {wanted}'
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ParameterError(f'parameter {self.name} = {value!r}: give a finite number')
+        self._check_range(value)
+        return value
+
+    def _check_range(self, value: Any) -> None:  # noqa: ANN401
+        low = self.minimum is not None and value < self.minimum
+        if low or (self.maximum is not None and value > self.maximum):
+            raise ParameterError(
+                f'parameter {self.name} = {value!r}: outside {self.minimum} .. {self.maximum}'
+                f'{" " + self.unit if self.unit else ""}'
+            )
+        if self.choices and value not in self.choices:
+            allowed = ', '.join(map(str, self.choices))
+            raise ParameterError(f'parameter {self.name} = {value!r}: choose one of {allowed}')
+
+
+def parameter(
+    default: T,
+    *,
+    description: str | None = None,
+    unit: str = '',
+    within: tuple[float | None, float | None] = (None, None),
+    choices: tuple[T, ...] = (),
+    read_only: bool = False,
+) -> T:
+    """Describe a field of a parameter dataclass.
+
+    Args:
+        default: Default value (bool, int, float or str).
+        description: Effect, for the descriptor, the configuration file and the docs; by default as
+            the docstring of the class describes the attribute.
+        unit: Unit of the value.
+        within: Smallest and largest allowed number; None for no limit.
+        choices: Allowed values.
+        read_only: Whether the value is fixed while the node runs.
+
+    Returns:
+        A dataclass field, typed as its value so that the class type-checks.
+    """
+    metadata = {
+        'unit': unit,
+        'minimum': within[0],
+        'maximum': within[1],
+        'choices': choices,
+        'read_only': read_only,
+    }
+    if description is not None:
+        metadata['description'] = description
+    return dataclasses.field(default=default, metadata={_KEY: metadata})
+
+
+def fixed(default: T, **options: Any) -> T:  # noqa: ANN401
+    """Describe a field that cannot change while the node runs; arguments as of `parameter`."""
+    field: T = parameter(default, read_only=True, **options)
+    return field
+
+
+def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of a schema class, in the order of its fields."""
+    described: dict[str, str] = {}
+    for base in reversed(schema.__mro__):
+        described |= _attributes(base)
+    found = []
+    for field in dataclasses.fields(schema):
+        values = {'description': described.get(field.name, ''), **field.metadata[_KEY]}
+        found.append(ParameterSpec(field.name, cast('Value', field.default), **values))
+    return tuple(found)
+
+
+@cache
+def _attributes(described: type[Any]) -> dict[str, str]:
+    """Return what the docstring of a class says of its attributes."""
+    _, _, section = inspect.cleandoc(described.__doc__ or '').partition('\nAttributes:\n')
+    entries = section.partition('\n\n')[0]
+    found = re.findall(r'^ {4}(\w+): (.+(?:\n {5,}.+)*)', entries, re.MULTILINE)
+    return {name: ' '.join(text.split()) for name, text in found}
+
+
+def build(schema: type[T], values: Mapping[str, object]) -> T:
+    """Return a schema instance with the given values and defaults for the rest.
+
+    Args:
+        schema: A frozen dataclass made of `parameter` fields.
+        values: Values by name.
+
+    Raises:
+        ParameterError: Unknown name or value not allowed.
+    """
+    known = {spec.name: spec for spec in specs(schema)}
+    unknown = sorted(set(values) - set(known))
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], known, 1) or [', '.join(known)]
+        raise ParameterError(f'unknown parameter {unknown[0]}', remedy=f'did you mean {near[0]}?')
+    return schema(**{name: known[name].check(value) for name, value in values.items()})
+
+
+def parameter_file(node: str, settings: Any) -> str:  # noqa: ANN401
+    """Return settings as a parameter file of ROS 2.
+
+    Args:
+        node: Name of the node, in any namespace.
+        settings: An instance of a schema.
+    """
+    lines = [f'/**/{node}:', '  ros__parameters:']
+    for name in (spec.name for spec in specs(type(settings))):
+        lines += [f'    {name}: {yaml_scalar(getattr(settings, name))}']
+    return '\n'.join(lines) + '\n'
+
+
+def yaml_scalar(value: Value) -> str:
+    """Return the value of a parameter as YAML, for ROS 2 and for YAML 1.1."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        # Always quoted: ROS 2 reads a serial number such as 00000389 or 12345e67 as a number.
+        if value.isascii() and value.isprintable():
+            return "'" + value.replace("'", "''") + "'"
+        return str(yaml.safe_dump(value, default_style='"', width=math.inf)).strip()
+    text = repr(value)
+    # YAML 1.1 reads 3e-08 as a string.
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text

@@ -1,0 +1,404 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes: their environment, starting them together, watching and ending them.
+
+Beside them, what a process in real time does about garbage, priorities and compilation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import fcntl
+import gc
+import json
+import os
+import queue
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import IO, Any
+
+from mixtac_core.events.errors import ERROR, MixtacError
+from mixtac_core.node.share import share
+
+
+class GraphError(MixtacError):
+    """A node that did not start, ended, or could not be configured."""
+
+
+FASTDDS_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+"""Fast DDS 2 (ROS 2 Jazzy) reads the first, Fast DDS 3 the second."""
+_ON_THIS_MACHINE = {'LOCALHOST', 'OFF'}
+
+
+def freeze_loaded() -> None:
+    """Take all present objects out of garbage collection: a full pass takes 0.1 s."""
+    gc.collect()
+    gc.freeze()
+
+
+def lower_priority(niceness: int) -> None:
+    """Set the niceness of the calling thread, where the system has one for threads."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
+
+
+_SET_TIMER_SLACK = 29
+_SLACK_NS = 1000
+
+
+def exact_sleeps() -> None:
+    """Have sleeps of the calling thread end on time: Linux lets them last up to 50 us longer."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)
+
+
+COMPILING_S = 300.0
+"""Time after which a process compiles although another one of the user still does."""
+
+
+@contextlib.contextmanager
+def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[None]:
+    """Load compiled kernels, or compile them while no other process of the user compiles the same.
+
+    Processes that write the same kernels into numba's cache at once mix their signatures up; a
+    later start then calls one with the arguments of another.
+
+    Args:
+        kernels: Name of what is compiled within the context; kernels that two contexts share
+            need one name for both.
+        say: Called once, before the first compilation, if there is any.
+    """
+    from numba.core import event
+
+    class OnCompile(event.Listener):  # type: ignore[misc]
+        begun = False
+
+        def on_start(self, _event: object) -> None:
+            if not self.begun:
+                self.begun = True
+                # It may take longer than `STUCK_S`.
+                faulthandler.cancel_dump_traceback_later()
+                say()
+                _await_lock(lock, time.monotonic() + COMPILING_S)
+
+        def on_end(self, _event: object) -> None:
+            pass
+
+    path = _own_folder('mixtac-kernels') / kernels.replace('/', '.')
+    with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
+        yield
+
+
+def _await_lock(handle: IO[str], until_s: float) -> None:
+    # Without a lock in the end: one process that hangs must not keep all others from starting.
+    while time.monotonic() < until_s:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.05)
+        else:
+            break
+
+
+def _own_folder(name: str) -> Path:
+    """Return a folder for the processes of this user on this machine; made if it is not there.
+
+    Raises:
+        GraphError: Another user has it.
+    """
+    folder = Path(tempfile.gettempdir()) / f'{name}-{os.getuid()}'
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
+    return folder
+
+
+def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that select our Fast DDS profile; none if the user has a profile.
+
+    Args:
+        environment: Environment of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between
+            loopback and all interfaces.
+    """
+    folder = share('mixtac_bringup') / 'config' / 'fastdds'
+    # A shell may have one of ours from before the range was changed.
+    ours = {each.resolve() for each in folder.glob('*.xml')}
+    set_ = filter(None, map(environment.get, FASTDDS_VARIABLES))
+    if any(Path(each).resolve() not in ours for each in set_):
+        return {}
+    local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
+    return dict.fromkeys(FASTDDS_VARIABLES, str(folder / ('local.xml' if local else 'network.xml')))
+
+
+STOP_GRACE_S = 20.0
+"""From SIGTERM to SIGKILL [s]: on a busy host a last picture takes ten."""
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
+STUCK_S = 30.0
+"""Time after which a process ends whose callback, or middleware, does not return [s]."""
+_STUCK = 'Timeout ('
+_LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
+
+
+def fatal_text(line: str) -> str:
+    """Return why a node ends, from a line of its stderr; empty for other lines."""
+    if line.startswith(_STUCK):
+        return f'nothing returned to the executor for {STUCK_S:g} s; a traceback says what ran'
+    return line.removeprefix(ERROR).strip() if line.startswith(ERROR) else ''
+
+
+@dataclass
+class _Member:
+    """A running process and the thread that forwards its output.
+
+    Attributes:
+        process: The process.
+        reader: Thread that reads its output until it ends.
+        last_error: The last line that it logged as an error.
+    """
+
+    process: subprocess.Popen[str]
+    reader: threading.Thread = field(init=False)
+    last_error: str = ''
+
+    def read(self, name: str, sink: IO[str]) -> None:
+        """Forward the output and remember the last error.
+
+        The error line with which a process ends is not forwarded: the group reports it.
+        """
+        assert self.process.stdout is not None  # noqa: S101  (always piped)
+        for line in self.process.stdout:
+            fatal, logged = fatal_text(line), _LOGGED.match(line)
+            if fatal or logged:
+                self.last_error = fatal or logged['text'].strip()  # type: ignore[index]
+            if not fatal or sink is not sys.stderr:
+                sink.write(line if sink is not sys.stderr else f'[{name}] {line}')
+                sink.flush()
+        if sink is not sys.stderr:
+            sink.close()
+
+
+class ProcessGroup:
+    """The processes of a graph; all end with this process.
+
+    Leaving the `with` block ends them. Inside it, SIGTERM and SIGHUP raise SystemExit (in the main
+    thread only, where Python handles signals). If this process is killed, the kernel sends them
+    SIGTERM, provided that `setpriv` of util-linux is installed.
+
+    Args:
+        log_dir: Folder for one log file per process, or None to forward their output to stderr.
+        env: Environment of the processes; None for this process's own.
+    """
+
+    def __init__(self, log_dir: Path | None = None, env: dict[str, str] | None = None) -> None:
+        self._log_dir = log_dir
+        self._env = env
+        self._members: dict[str, _Member] = {}
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> ProcessGroup:
+        """Return the group."""
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, _leave) for number in _ENDING}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        self.stop()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def start(self, name: str, command: list[str]) -> None:
+        """Start a process under a name.
+
+        It gets its own session, so that Ctrl-C in the terminal reaches this process only, which
+        then ends the nodes in order.
+        """
+        sink: IO[str] = sys.stderr
+        if self._log_dir is not None:
+            self._log_dir.mkdir(parents=True, exist_ok=True)
+            sink = (self._log_dir / f'{name}.log').open('w')
+        member = _Member(
+            subprocess.Popen(
+                ending_with_parent(command),
+                env=self._env,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors='replace',
+                start_new_session=True,
+            )
+        )
+        member.reader = threading.Thread(target=member.read, args=(name, sink), daemon=True)
+        member.reader.start()
+        self._members[name] = member
+
+    def check(self) -> None:
+        """Raise if a process has ended.
+
+        Raises:
+            GraphError: Names the process and its last error.
+        """
+        for name, member in self._members.items():
+            code = member.process.poll()
+            if code is not None:
+                member.reader.join(1.0)
+                if code < 0:
+                    # What it logged before has nothing to do with it.
+                    raise GraphError(f'{name} was ended by {signal.Signals(-code).name}')
+                reason = f': {member.last_error}' if member.last_error else ''
+                raise GraphError(f'{name} ended with status {code}{reason}')
+
+    def has(self, name: str) -> bool:
+        """Return whether a process was started under a name and not stopped."""
+        return name in self._members
+
+    def pid(self, name: str) -> int:
+        """Return the id of a process."""
+        return self._members[name].process.pid
+
+    def last_error(self, name: str) -> str:
+        """Return the last line that a process logged as an error, or an empty string."""
+        return self._members[name].last_error
+
+    def stop(self, name: str | None = None) -> dict[str, int]:
+        """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.
+
+        Not SIGINT, to which a Python process that is still importing responds with a traceback.
+
+        Returns:
+            Exit status by name.
+        """
+        names = [name] if name is not None else list(reversed(self._members))
+        for each in names:
+            if self._members[each].process.poll() is None:
+                self._members[each].process.terminate()
+        deadline = time.monotonic() + STOP_GRACE_S
+        codes = {}
+        for each in names:
+            member = self._members.pop(each)
+            codes[each] = _wait(member.process, deadline - time.monotonic())
+            member.reader.join(1.0)
+        return codes
+
+
+class JsonProcess:
+    """A child process that writes one JSON object per line; other lines are ignored.
+
+    It ends with this process, or when the `with` block is left.
+
+    Args:
+        name: Its name in error messages.
+        command: Command line.
+        env: Environment; None for this process's own.
+    """
+
+    def __init__(self, name: str, command: list[str], env: dict[str, str] | None = None) -> None:
+        self._name = name
+        self._process = subprocess.Popen(
+            ending_with_parent(command),
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> JsonProcess:
+        """Return the process."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it if it still runs."""
+        self.stop()
+
+    def send(self, **values: object) -> None:
+        """Write one JSON object to its standard input."""
+        assert self._process.stdin is not None  # noqa: S101  (always piped)
+        self._process.stdin.write(json.dumps(values) + '\n')
+        self._process.stdin.flush()
+
+    def expect(self, key: str, timeout_s: float) -> dict[str, Any]:
+        """Return the next object that has a key.
+
+        Args:
+            key: The key.
+            timeout_s: Longest time to wait [s].
+
+        Raises:
+            GraphError: None came in time, or the process ended first.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            ended = not self._thread.is_alive()
+            with contextlib.suppress(queue.Empty):
+                line = self._lines.get(timeout=0.1)
+                if key in line:
+                    return line
+                continue
+            if ended:
+                break
+        code = self._process.poll()
+        state = 'is still running' if code is None else f'ended with status {code}'
+        raise GraphError(f'{self._name} did not report {key!r} within {timeout_s:g} s; it {state}')
+
+    def latest(self, key: str, line: dict[str, Any]) -> dict[str, Any]:
+        """Return the newest object with a key among those received so far, or `line`."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                received = self._lines.get_nowait()
+                line = received if key in received else line
+        return line
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """End it: SIGTERM, then SIGKILL after a grace time. Its output can still be read."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            _wait(self._process, STOP_GRACE_S)
+        self._thread.join(1.0)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None  # noqa: S101  (always piped)
+        for line in self._process.stdout:
+            with contextlib.suppress(ValueError):
+                if isinstance(received := json.loads(line), dict):
+                    self._lines.put(received)
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def ending_with_parent(command: list[str]) -> list[str]:
+    """Return a command whose process gets SIGTERM when the thread that started it ends."""
+    setpriv = shutil.which('setpriv')
+    main = threading.current_thread() is threading.main_thread()
+    return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command
+
+
+def _wait(process: subprocess.Popen[str], grace_s: float) -> int:
+    """Return the status of a process that was asked to end; kill it after a grace time [s]."""
+    try:
+        return process.wait(max(0.1, grace_s))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()

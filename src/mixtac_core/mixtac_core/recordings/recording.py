@@ -1,0 +1,317 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The interface of recordings: pieces of a camera's stream in recorded order.
+
+Readers of a format are in `camera_stream` (bags) and `aedat4` beside this module.
+Beside it, the file formats that are known by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
+from mixtac_core.events.windows import RESTART_US
+
+
+class RecordingError(MixtacError):
+    """A recording that is missing, unreadable or unwritable, or lacks the topics asked for."""
+
+
+class DamagedRecordingError(RecordingError):
+    """Recorded data that violate their format."""
+
+
+def reason(error: Exception) -> str:
+    """Return the text of an error of a library in one line; its type where it has none."""
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
+AEDAT4_SUFFIX = '.aedat4'
+BAG_SUFFIXES = ('.mcap', '.db3')
+ROS1_SUFFIX = '.bag'
+
+
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """A file format that people bring.
+
+    Attributes:
+        name: As shown to users.
+        magic: First bytes of its files; empty where they have none.
+        suffixes: Suffixes of its files.
+        remedy: What to do with a file of it.
+    """
+
+    name: str
+    magic: bytes
+    suffixes: tuple[str, ...]
+    remedy: str
+
+
+_EXPORT = 'export events as csv with columns t, x, y, p and run `mixtac import` on them'
+FORMATS = (
+    FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', ('.mcap',), 'name the file NAME.mcap'),
+    FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', ('.db3',), 'name the file NAME.db3'),
+    FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,), 'name the file NAME.bag'),
+    FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,), 'name the file NAME.aedat4'),
+    FileFormat('HDF5', b'\x89HDF', ('.h5', '.hdf5'), 'run `mixtac import` on it'),
+    FileFormat('NPZ', b'PK\x03\x04', ('.npz',), 'run `mixtac import` on it'),
+    FileFormat('csv', b'', ('.csv', '.txt'), 'run `mixtac import` on it'),
+    FileFormat('AEDAT 2', b'#!AER-DAT2', (), f'open it in jAER, {_EXPORT}'),
+    FileFormat('AEDAT 3', b'#!AER-DAT3', ('.aedat',), f'open it in DV, {_EXPORT}'),
+    FileFormat(
+        'Prophesee DAT', b'% Data file', ('.dat',), f'with metavision_file_to_csv {_EXPORT}'
+    ),
+    FileFormat('Prophesee RAW', b'% ', ('.raw',), f'with metavision_file_to_csv {_EXPORT}'),
+    FileFormat(
+        'Event Stream', b'Event Stream', ('.es',), f'with the Python package loris {_EXPORT}'
+    ),
+    FileFormat(
+        'pointer of git-lfs', b'version https://git-lfs', (), 'run `git lfs pull` beside it'
+    ),
+    FileFormat('zstd', b'\x28\xb5\x2f\xfd', ('.zst', '.zstd'), 'expand it with `zstd -d`'),
+)
+"""File formats by name: those that are read, and others with what to do."""
+
+
+def file_format(path: Path) -> FileFormat | None:
+    """Return the format of a file, by its first bytes or else its suffix; None if it is unknown."""
+    try:
+        with path.open('rb') as file:
+            begin = file.read(32)
+    except OSError:
+        begin = b''
+    found = (each for each in FORMATS if each.magic and begin.startswith(each.magic))
+    named = (each for each in FORMATS if path.suffix.lower() in each.suffixes)
+    return next(found, None) or next(named, None)
+
+
+def not_a_recording(path: Path) -> RecordingError:
+    """Return the error for a path that is not read as a recording, with what to do with it."""
+    known = file_format(path) if path.is_file() else None
+    if known is None:
+        what = 'folder without .mcap or .db3 files' if path.is_dir() else 'file of unknown format'
+        return RecordingError(
+            f'{path} is no recording: a {what}',
+            remedy='give an .aedat4, .mcap, .db3 or .bag file, or the folder of a bag',
+        )
+    return RecordingError(f'{path} is no recording but {known.name}', remedy=known.remedy)
+
+
+LATEST_US = (1 << 31) * 1_000_000 - 1
+"""Latest time of a ROS stamp [us]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """A stretch of recorded data; times [us] are on the recorded camera clock.
+
+    Attributes:
+        start_us: Earliest time in it.
+        until_us: Latest time in it.
+        advances: True where nothing before `until_us` follows it. False for what may be recorded
+            ahead of events of the same time (frames, samples, edges beside events).
+        events: Events.
+        frames: Frames.
+        imu: Inertial samples.
+        edges: Edges of the external input and the generator.
+    """
+
+    start_us: int
+    until_us: int
+    advances: bool
+    events: Events = field(default_factory=Events.empty)
+    frames: tuple[Frame, ...] = ()
+    imu: InertialSamples = NO_SAMPLES
+    edges: Edges = NO_EDGES
+
+    def check(self) -> None:
+        """Check that all times fit into ROS stamps.
+
+        Raises:
+            DamagedRecordingError: A time is negative or too large.
+        """
+        times = [self.start_us, self.until_us]
+        if len(self.events):
+            times += [int(self.events.t.min()), int(self.events.t.max())]
+        if min(times) < 0 or max(times) > LATEST_US:
+            raise DamagedRecordingError(
+                f'a time of {min(times)} .. {max(times)} us is outside 0 .. {LATEST_US}'
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """Description of a recording, known when it is opened.
+
+    Attributes:
+        path: File or folder.
+        kind: Format, as shown to users.
+        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
+            empty where none is recorded.
+        width: Columns of the camera.
+        height: Rows of the camera.
+        color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
+        start_us: Time of the first event, or of the first piece of a recording without events [us,
+            recorded camera clock].
+        length_us: Length [us], to within the time that data took to reach the recorder.
+        contents: What is read: kind of data and name of its topic or stream.
+        damage: What is missing because the file is incomplete, or a topic that cannot be read;
+            empty for a sound recording.
+    """
+
+    path: Path
+    kind: str
+    camera: str
+    width: int
+    height: int
+    color_filter: int
+    start_us: int
+    length_us: int
+    contents: tuple[tuple[str, str], ...]
+    damage: str = ''
+
+
+@dataclass(slots=True)
+class ReadCounters:
+    """Losses found while reading.
+
+    Attributes:
+        packets_missing: Event packets that are missing by their numbers.
+        events_outside: Events dropped because they lie outside the sensor.
+        events_unsorted: Events that were older than the one before in their message; sorted.
+    """
+
+    packets_missing: int = 0
+    events_outside: int = 0
+    events_unsorted: int = 0
+
+
+class Recording(Protocol):
+    """A recording, open for reading."""
+
+    counters: ReadCounters
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Description; its damage is what has been found so far."""
+
+    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+        """Yield the recorded data in order, reading as they are needed.
+
+        Args:
+            from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
+
+        Raises:
+            RecordingError: The data are damaged.
+        """
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
+    """Yield pieces without the data before a time.
+
+    Once a recorded clock was reset, everything counts as later. What was recorded before the first
+    packet of the new clock comes after it.
+
+    Args:
+        pieces: Pieces in recorded order.
+        from_us: The time [us, recorded camera clock].
+    """
+    skipping, latest_us = True, 0
+    held: list[Piece] = []
+    for piece in pieces:
+        behind = piece.until_us < latest_us - RESTART_US
+        if not piece.advances:
+            if behind:
+                held.append(piece)
+            else:
+                yield from _from_time(piece, from_us, skipping=skipping)
+            continue
+        skipping = skipping and piece.start_us < from_us and not behind
+        latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
+        for each in (piece, *held):
+            yield from _from_time(each, from_us, skipping=skipping)
+        held.clear()
+    for each in held:
+        yield from _from_time(each, from_us, skipping=skipping)
+
+
+def _from_time(piece: Piece, from_us: int, *, skipping: bool) -> Iterator[Piece]:
+    if not skipping or piece.start_us >= from_us:
+        yield piece
+    elif piece.until_us >= from_us:
+        yield replace(
+            piece,
+            start_us=from_us,
+            events=piece.events[piece.events.t >= from_us],
+            frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+            imu=piece.imu[piece.imu.t >= from_us],
+            edges=piece.edges[piece.edges.t >= from_us],
+        )
+
+
+NONE = 'none'
+"""Instead of the name of a topic: do not read this kind of data."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which topics of a bag, or streams of an AEDAT4 file, to read.
+
+    Of each kind: a name, empty for the only one, or `NONE`.
+
+    Attributes:
+        events: Event packets.
+        image: Frames.
+        imu: Inertial samples.
+    """
+
+    events: str = ''
+    image: str = ''
+    imu: str = ''
+
+
+def choose(
+    found: Sequence[str], wanted: str, *, kind: str, path: object, beside: str = ''
+) -> str | None:
+    """Return the name of the topic to read, or None for none of them.
+
+    Args:
+        found: Topics that hold such data.
+        wanted: A name, empty or `NONE`, as in `Selection`.
+        kind: Kind of data, as in `Selection`: events, image or imu.
+        path: The recording, for messages.
+        beside: A topic; of several, the one that is highest in its namespace is taken.
+
+    Raises:
+        RecordingError: The wanted one is missing, or there are several and none was named.
+    """
+    if wanted == NONE:
+        return None
+    remedy = (
+        f'choose one of {", ".join(found)}, or none, with --{kind} of `mixtac export` or `import`'
+        f' (playback_{kind}_topic of the driver)'
+    )
+    if wanted and wanted not in found:
+        raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
+    if not wanted and len(found) > 1:
+        # What the driver publishes without lens distortion lies beside what it comes from.
+        found = [name for name in found if not name.endswith('_rect')] or found
+    if wanted or len(found) < 2:
+        return wanted or next(iter(found), None)
+    space = f'{beside.rpartition("/")[0]}/'
+    # Samples are a level below: imu/data_raw.
+    depths = {name: name.count('/') for name in found if beside and name.startswith(space)}
+    near = [name for name, depth in depths.items() if depth == min(depths.values())]
+    if len(near) == 1:
+        return near[0]
+    raise RecordingError(f'{path} has several {kind} topics', remedy=remedy)

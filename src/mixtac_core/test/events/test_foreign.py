@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The encoding of other cameras: words written here one by one come out as events."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_core.events.codec import StreamDecoder
+from mixtac_core.events.packets import CodecError
+
+SIZE = {'width': 640, 'height': 480}
+TIME_LOW, TIME_HIGH, ROW, EVENT, BASE, VECTOR_12, VECTOR_8 = 6, 8, 0, 2, 3, 4, 5
+TRIGGER, OTHERS, CONTINUED = 10, 14, 15
+
+
+def words(*pairs: tuple[int, int]) -> np.ndarray:
+    return np.array([kind << 12 | value for kind, value in pairs], '<u2').view(np.uint8)
+
+
+def message(payload, encoding='evt3', **fields):
+    values = {'seq': 0, 'time_base': 0, 'is_bigendian': False, **SIZE}
+    return SimpleNamespace(**{**values, **fields}, encoding=encoding, events=payload)
+
+
+def rows(packet) -> list[tuple[int, int, int, bool]]:
+    events = packet.events
+    columns = (events.t, events.x, events.y, events.polarity)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def test_times_mean_nothing_before_their_upper_bits():
+    decoder = StreamDecoder()
+    known = []
+    for payload in (words((TIME_LOW, 7), (EVENT, 5)), words((TIME_HIGH, 2)), words((TIME_LOW, 9))):
+        decoder.decode(message(payload))
+        known.append(decoder.timed)
+    assert known == [False, True, True]
+
+
+def test_single_events_and_vectors():
+    payload = words(
+        (EVENT, 5),
+        (TIME_HIGH, 2),
+        (EVENT, 6),
+        (TIME_LOW, 7),
+        (ROW, 30),
+        (EVENT, 0x800 | 100),
+        (TRIGGER, 1),
+        (OTHERS, 0x19),
+        (CONTINUED, 3),
+        (BASE, 0x800 | 200),
+        (VECTOR_12, 0b1000_0000_0001),
+        (VECTOR_8, 0b0000_0010),
+        (TIME_LOW, 9),
+        (BASE, 300),
+        (VECTOR_8, 1),
+        (TIME_LOW, 12),
+    )
+    found = StreamDecoder().decode(message(payload))
+    assert rows(found) == [
+        (0x2007, 100, 30, True),
+        (0x2007, 200, 30, True),
+        (0x2007, 211, 30, True),
+        (0x2007, 213, 30, True),
+        (0x2009, 300, 30, False),
+    ]
+    assert found.complete_until == 0x200C
+
+
+def test_events_outside_the_sensor_are_left_out():
+    payload = words(
+        (TIME_HIGH, 0), (TIME_LOW, 1), (ROW, 479), (EVENT, 640), (BASE, 638), (VECTOR_8, 0b101)
+    )
+    more = words((ROW, 480), (EVENT, 1))
+    decoder = StreamDecoder()
+    assert rows(decoder.decode(message(payload))) == [(1, 638, 479, False)]
+    assert rows(decoder.decode(message(more))) == []
+
+
+@given(st.lists(st.integers(1, 15_000_000), min_size=1, max_size=20), st.integers(0, 3))
+def test_times_roll_over_and_packets_may_be_cut_anywhere(steps, early):
+    times = np.cumsum(steps).tolist()
+    pairs = [(OTHERS, 0)] * early
+    for t in times:
+        pairs += [(TIME_HIGH, t >> 12 & 0xFFF), (TIME_LOW, t & 0xFFF), (ROW, 3), (EVENT, 4)]
+    decoder = StreamDecoder()
+    found = [
+        row[0]
+        for at in range(0, len(pairs), 4)
+        for row in rows(decoder.decode(message(words(*pairs[at : at + 4]))))
+    ]
+    assert found == times
+
+
+def test_a_packet_cut_within_a_time_announces_no_more_than_it_knows():
+    decoder = StreamDecoder()
+    first = words((TIME_HIGH, 1), (TIME_LOW, 4000), (EVENT, 1), (TIME_HIGH, 2))
+    assert decoder.decode(message(first)).complete_until == 2 << 12
+    found = decoder.decode(message(words((TIME_LOW, 5), (EVENT, 2))))
+    assert rows(found) == [(2 << 12 | 5, 2, 0, False)]
+
+
+def test_a_time_that_goes_back_a_little_is_no_roll_over():
+    payload = words(
+        (TIME_HIGH, 20), (TIME_LOW, 0), (EVENT, 1), (TIME_HIGH, 19), (TIME_LOW, 5), (EVENT, 2)
+    )
+    found = StreamDecoder().decode(message(payload))
+    assert rows(found) == [(19 << 12 | 5, 2, 0, False), (20 << 12, 1, 0, False)]
+    assert found.complete_until == 20 << 12
+
+
+@pytest.mark.parametrize('payload', [words((9, 0)), np.zeros(3, np.uint8)])
+def test_other_words_are_refused(payload):
+    with pytest.raises(CodecError):
+        StreamDecoder().decode(message(payload))

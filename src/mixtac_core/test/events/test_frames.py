@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Frame kernels against plain NumPy and against images that were moved on purpose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_core.events.frames import (
+    _sum_along_columns,
+    _sum_along_rows,
+    bin_mean,
+    displacement,
+    gradients,
+    log_contrast,
+)
+
+
+def waves(shift_x: float = 0.0, shift_y: float = 0.0) -> np.ndarray:
+    rows, columns = 65, 86
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    x, y = x - shift_x, y - shift_y
+    return (0.4 * np.sin(0.8 * x + 0.2 * y) + 0.4 * np.cos(0.7 * y - 0.1 * x)).astype(np.float32)
+
+
+@pytest.mark.parametrize('kind', [np.uint8, np.uint16])
+def test_bins_are_block_means(kind):
+    image = np.random.default_rng(0).integers(0, 255, (260, 346)).astype(kind)
+    out = np.empty((65, 86), np.float32)
+    bin_mean(image, 4, out)
+    expected = image[:, :344].reshape(65, 4, 86, 4).mean(axis=(1, 3))
+    assert np.allclose(out, expected, rtol=1e-6)
+
+
+@given(st.floats(0.01, 1000.0))
+def test_log_contrast_does_not_depend_on_exposure(gain):
+    image = np.exp(waves())
+    one, other = np.empty_like(image), np.empty_like(image)
+    log_contrast(image, 0.05, one)
+    log_contrast((image * gain).astype(np.float32), 0.05, other)
+    assert np.allclose(one, other, atol=1e-4)
+    assert np.allclose(one, np.log(image / image.mean() + 0.05), atol=1e-5)
+
+
+def test_gradients_are_those_of_numpy_inside():
+    image = waves()
+    along_x, along_y = np.empty_like(image), np.empty_like(image)
+    gradients(image, 2, along_x, along_y)
+    expected_y, expected_x = np.gradient(image, 2)
+    assert np.allclose(along_x[1:-1, 1:-1], expected_x[1:-1, 1:-1], atol=1e-6)
+    assert np.allclose(along_y[1:-1, 1:-1], expected_y[1:-1, 1:-1], atol=1e-6)
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 4), st.integers(0, 1000))
+def test_box_sums_are_those_of_the_definition(rows, columns, radius, seed):
+    field = np.random.default_rng(seed).integers(-9, 9, (rows, columns)).astype(np.float32)
+    half, out = np.empty_like(field), np.empty_like(field)
+    _sum_along_rows(field, radius, half)
+    _sum_along_columns(half, radius, out)
+    padded = np.pad(field, radius)
+    size = 2 * radius + 1
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (size, size))
+    assert np.array_equal(out, windows.sum(axis=(2, 3)))
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_displacement_finds_how_far_a_texture_moved(shift_x, shift_y):
+    reference = waves()
+    work = np.empty((9, *reference.shape), np.float32)
+    out = np.empty((2, *reference.shape), np.float32)
+    displacement(reference, waves(shift_x, shift_y), 3, 1e-3, work, out)
+    inner = out[:, 5:-5, 5:-5].reshape(2, -1).mean(axis=1)
+    # Central differences of these waves are 10 % too small, so the displacement is 10 % too large;
+    # their curvature adds up to 0.012 px, most where the other direction moves by half a pixel.
+    shift = np.array([shift_x, shift_y])
+    assert np.all(np.abs(inner - shift) <= 0.1 * np.abs(shift) + 0.015)
+
+
+def test_displacement_without_texture_is_zero():
+    flat = np.zeros((20, 20), np.float32)
+    work, out = np.empty((9, 20, 20), np.float32), np.empty((2, 20, 20), np.float32)
+    displacement(flat, flat + 0.3, 3, 1e-3, work, out)
+    assert np.array_equal(out, np.zeros_like(out))

@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Windows partition the stream, whichever way it arrives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_core.events import windows
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.windows import WindowError, WindowSlicer, counts_per_window
+
+EPOCH_US = 1_700_000_000_000_000
+
+
+def at(times: list[int]) -> Events:
+    n = len(times)
+    return Events(
+        np.array(times, np.int64),
+        np.arange(n).astype(np.uint16),
+        np.zeros(n, np.uint16),
+        np.ones(n, np.bool_),
+    )
+
+
+GAPS = st.lists(st.sampled_from([0, 1, 3, 700, 2000, 9000]) | st.integers(0, 400), min_size=1)
+
+
+@given(
+    gaps=GAPS,
+    start=st.sampled_from([-5000, 0, EPOCH_US]),
+    width=st.integers(1, 3000),
+    origin=st.integers(-4000, 4000),
+    cuts=st.lists(st.integers(0, 100), max_size=5),
+    max_run=st.integers(1, 40),
+)
+def test_windows_partition_the_events(
+    gaps: list[int], start: int, width: int, origin: int, cuts: list[int], max_run: int
+) -> None:
+    times = (start + np.cumsum(gaps)).tolist()
+    events = at(times)
+    slicer = WindowSlicer(width, origin, max_empty_run=max_run)
+    borders = sorted(min(c, len(times)) for c in cuts)
+    windows = []
+    until = times[0]
+    for a, b in zip([0, *borders], [*borders, len(times)], strict=True):
+        until = times[b - 1] if b > a else until
+        windows += slicer.push(events[a:b], until)
+    windows += slicer.push(Events.empty(), times[-1] + width)
+    ends = np.array([end for end, _ in windows])
+    assert np.all((ends - origin) % width == 0)
+    steps = np.diff(ends) // width
+    assert np.all(steps >= 1)
+    assert slicer.skipped_windows == np.sum(steps - 1)
+    assert slicer.late_events == slicer.restarts == 0
+    for end, content in windows:
+        assert np.all((content.t >= end - width) & (content.t < end))
+    assert np.concatenate([c.t for _, c in windows]).tolist() == times
+    assert np.concatenate([c.x for _, c in windows]).tolist() == list(range(len(times)))
+
+
+@given(gaps=GAPS, width=st.integers(1, 3000))
+def test_arrival_in_pieces_changes_nothing_but_gaps(gaps: list[int], width: int) -> None:
+    times = np.cumsum(gaps).tolist()
+    end = times[-1] + width
+    enough = end // width + 2
+    whole = WindowSlicer(width, max_empty_run=enough).push(at(times), end)
+    slicer = WindowSlicer(width, max_empty_run=enough)
+    pieces = [w for t in times for w in slicer.push(at([t]), t)]
+    pieces += slicer.push(Events.empty(), end)
+    assert [(e, c.t.tolist()) for e, c in pieces] == [(e, c.t.tolist()) for e, c in whole]
+
+
+def test_a_window_closes_as_soon_as_it_is_complete() -> None:
+    slicer = WindowSlicer(1000)
+    assert slicer.push(at([100]), 999) == []
+    assert slicer.push(at([999]), 999) == []
+    [(end, content)] = slicer.push(Events.empty(), 1000)
+    assert (end, content.t.tolist()) == (1000, [100, 999])
+
+
+def test_an_event_at_the_time_of_completeness_still_counts() -> None:
+    slicer = WindowSlicer(1000)
+    assert slicer.push(at([500, 1500]), 1500)[0][0] == 1000
+    [(end, content)] = slicer.push(at([1500]), 2000)
+    assert (end, content.t.tolist()) == (2000, [1500, 1500])
+
+
+def test_long_gaps_give_the_latest_empty_windows() -> None:
+    slicer = WindowSlicer(1000, max_empty_run=3)
+    windows = slicer.push(at([500, 20_500]), 30_000)
+    assert [end for end, _ in windows] == [1000, 21_000, 28_000, 29_000, 30_000]
+    assert slicer.skipped_windows == 30 - 5
+
+
+def test_late_events_are_dropped_and_counted() -> None:
+    slicer = WindowSlicer(1000)
+    slicer.push(at([100]), 5000)
+    [(_, content)] = slicer.push(at([4999, 5000, 5001]), 6000)
+    assert content.t.tolist() == [5000, 5001]
+    assert slicer.late_events == 1
+
+
+def test_events_out_of_order_are_sorted_into_their_windows() -> None:
+    slicer = WindowSlicer(1000)
+    slicer.push(at([0, 1500]), 0)
+    windows = slicer.push(at([700, 1200]), 2000)
+    assert [c.t.tolist() for _, c in windows] == [[0, 700], [1200, 1500]]
+
+
+def test_a_restarted_clock_starts_over() -> None:
+    slicer = WindowSlicer(1000)
+    slicer.push(at([10_000_000]), 10_000_500)
+    windows = slicer.push(at([200]), 1000)
+    assert [(end, c.t.tolist()) for end, c in windows] == [(1000, [200])]
+    assert slicer.restarts == 1
+    assert slicer.late_events == 0
+
+
+def test_reset_forgets_open_windows() -> None:
+    slicer = WindowSlicer(1000)
+    slicer.push(at([100]), 500)
+    slicer.reset()
+    assert slicer.push(at([600]), 1000)[0][1].t.tolist() == [600]
+
+
+@pytest.mark.parametrize(('width', 'run'), [(0, 1), (-5, 1), (1, 0)])
+def test_windows_need_a_width(width: int, run: int) -> None:
+    with pytest.raises(WindowError):
+        WindowSlicer(width, max_empty_run=run)
+
+
+@given(
+    times=st.lists(st.integers(-50, 5000), max_size=60),
+    start=st.integers(-20, 3000),
+    length=st.integers(0, 3000),
+    width=st.integers(1, 500),
+    epoch=st.sampled_from([0, EPOCH_US]),
+)
+def test_counts_are_those_of_the_borders(
+    times: list[int], start: int, length: int, width: int, epoch: int
+) -> None:
+    t = np.array(times, np.int64) + epoch
+    counts = counts_per_window(t, start + epoch, start + epoch + length, width)
+    assert counts.dtype == np.int64
+    expected = [
+        sum(start + k * width <= u < start + (k + 1) * width for u in times)
+        for k in range(length // width)
+    ]
+    assert counts.tolist() == expected
+
+
+def test_counting_needs_a_width_and_an_order() -> None:
+    for start, end, width in ((0, 10, 0), (10, 0, 1)):
+        with pytest.raises(WindowError):
+            counts_per_window(np.empty(0, np.int64), start, end, width)
+
+
+def test_one_push_returns_a_bounded_number_of_empty_windows():
+    # 17 events almost 1 s apart, as a malformed packet may hold: 8500 windows of 2 ms.
+    t = np.arange(17, dtype=np.int64) * 990_000
+    zeros = np.zeros(17, np.uint16)
+    slicer = WindowSlicer(2000, max_empty_run=50)
+    windows = slicer.push(Events(t, zeros, zeros, zeros > 0), int(t[-1]) + 2000)
+    assert sum(len(events) > 0 for _, events in windows) == 17
+    assert len(windows) == 17 + 50
+    ends = [end for end, _ in windows]
+    assert ends == sorted(ends)
+    assert slicer.skipped_windows == int(t[-1]) // 2000 + 1 - len(windows)
+
+
+def test_time_that_stands_still_holds_a_bounded_number_of_events(monkeypatch):
+    monkeypatch.setattr(windows, 'MOST_HELD', 100)
+    slicer = WindowSlicer(1000)
+    count = 30
+    xy = np.zeros(count, np.uint16)
+    same = Events(np.full(count, 500), xy, xy, np.ones(count, np.bool_))
+    for _ in range(1000):
+        assert slicer.push(same, 500) == []
+    ((end_us, events),) = slicer.push(Events.empty(), 1000)
+    assert end_us == 1000
+    assert len(events) <= 100 + 2 * count
+    assert slicer.late_events == 1000 * count - len(events)

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The description of the graph: which nodes, in which order, with which arguments."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_core.node.graph import (
+    config_file,
+    live_view,
+    recorder,
+    rosbag2_qos,
+    sensor_graph,
+    slip_control,
+)
+from mixtac_core.node.process import GraphError
+from mixtac_core.node.topics import TOPICS
+
+
+def names(nodes) -> list[str]:
+    return [node.name for node in nodes]
+
+
+def overrides(nodes) -> dict[str, dict[str, object]]:
+    return {node.name: dict(node.overrides) for node in nodes}
+
+
+FROM_PIP = ('cattrs', 'numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
+"""Modules that pip installs, but YAML."""
+
+
+def test_the_graph_is_read_with_what_ros_brings(tmp_path):
+    # `ros2 launch` runs in the system's interpreter, the nodes in that of the environment.
+    own = tmp_path / 'own.yaml'
+    own.write_text('/**/driver:\n  ros__parameters:\n    serial: "0042"\n')
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({FROM_PIP}))
+from pathlib import Path
+from mixtac_core.node.graph import sensor_graph
+for node in sensor_graph('virtual', align=True):
+    print(node.command('mixtac', Path({str(own)!r})))
+"""
+    subprocess.run([sys.executable, '-c', code], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_a_camera_needs_driver_and_estimator():
+    nodes = sensor_graph('davis346')
+    assert names(nodes) == ['driver', 'fger']
+    assert [node.name for node in nodes if node.lifecycle] == ['fger']
+    assert all(node.required for node in nodes)
+    # Whether something touches a real sensor at the start is not known.
+    assert overrides(nodes)['fger'] == {}
+
+
+def test_the_virtual_sensor_comes_first_and_shares_its_socket():
+    nodes = sensor_graph('virtual:/a/b.sock', virtual_sensor={'device_seed': 5})
+    assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
+    assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
+    assert overrides(nodes)['driver'] == {'device': 'virtual:/a/b.sock'}
+    assert overrides(nodes)['fger'] == {'assume_free': True}
+
+
+def test_additions_stand_between_sensor_and_driver():
+    nodes = sensor_graph('virtual', align=True, view=True, reference_topic='/left/ft')
+    assert names(nodes) == ['virtual_sensor', 'view', 'alignment', 'force_error', 'driver', 'fger']
+    reference = {'reference_topic': '/left/ft'}
+    assert overrides(nodes)['virtual_sensor'] == overrides(nodes)['alignment'] == reference
+    # It compares with the topic that the alignment publishes.
+    assert overrides(nodes)['force_error'] == {}
+
+
+def test_slip_control_reads_the_drivers_events():
+    nodes = sensor_graph('virtual:/a/b.sock', slip={'arm': 'fr3'})
+    assert names(nodes) == ['virtual_sensor', 'driver', 'slip_control', 'fger']
+    assert overrides(nodes)['slip_control'] == {'arm': 'fr3'}
+
+
+def test_simulated_time_comes_from_the_driver():
+    found = overrides(sensor_graph('/some/bag', simulated_time=True))
+    assert found == {
+        'driver': {'device': '/some/bag', 'playback_clock': True},
+        'fger': {'assume_free': True, 'use_sim_time': True},
+    }
+
+
+def test_simulated_time_of_the_virtual_sensor_is_its_own():
+    found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
+    assert found['virtual_sensor'] == {'publish_clock': True}
+    assert 'playback_clock' not in found['driver']
+    assert all(found[name]['use_sim_time'] for name in ('alignment', 'force_error', 'fger'))
+
+
+def test_without_a_driver_all_nodes_follow_the_clock_of_the_bag_player():
+    nodes = sensor_graph('none', align=True, simulated_time=True)
+    assert names(nodes) == ['alignment', 'force_error', 'fger']
+    assert all(node.overrides['use_sim_time'] for node in nodes)
+    assert 'assume_free' not in overrides(sensor_graph('none'))['fger']
+    with pytest.raises(GraphError):
+        sensor_graph('none', driver={'serial': '1'})
+
+
+def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_path):
+    own = tmp_path / 'own.yaml'
+    own.write_text('{}')
+    (driver, _) = sensor_graph('davis346', driver={'serial': "00'1", 'playback_loop': True})
+    arguments = driver.ros_arguments(own, 'debug')
+    files = [value for key, value in pairwise(arguments) if key == '--params-file']
+    assert files == [str(config_file('driver.yaml')), str(own)]
+    values = [value for key, value in pairwise(arguments) if key == '-p']
+    # Neither a node's name nor a namespace before them: `-p` is for all nodes of the process.
+    assert values == ["device:='davis346'", "serial:='00''1'", 'playback_loop:=true']
+    assert arguments.index('-p') > arguments.index(str(own))
+
+
+def test_a_command_names_node_and_namespace():
+    command = sensor_graph('davis346')[0].command('left/')
+    assert command[1:4] == ['-m', 'mixtac_core.node', 'mixtac_driver.node.driver_node']
+    assert '__ns:=/left' in command
+    assert '__node:=driver' in command
+
+
+def test_a_parameter_file_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(GraphError) as caught:
+        sensor_graph('davis346')[0].command('mixtac', tmp_path / 'none.yaml')
+    assert 'none.yaml' in str(caught.value)
+
+
+def test_every_node_is_installed_and_has_a_parameter_file(tmp_path):
+    more = [slip_control({'arm': 'none'}), recorder(tmp_path / 'bag'), live_view(0)]
+    for device, options in (
+        ('virtual', {'align': True}),
+        ('x', {'slip': {}}),
+    ):
+        for node in [*sensor_graph(device, **options), *more]:
+            assert node.command('mixtac')
+            assert all(path.is_file() for path in node.parameter_files())
+
+
+def test_unset_options_leave_the_parameter_files_alone(tmp_path):
+    assert live_view().overrides == {}
+    assert live_view(0, tmp_path / 'a.rrd').overrides == {
+        'port': 0,
+        'save': str(tmp_path / 'a.rrd'),
+    }
+    assert recorder(tmp_path).overrides == {'output': str(tmp_path)}
+
+
+def test_rosbag2_subscribes_compatibly_and_with_long_queues():
+    found = rosbag2_qos('left', '/left/ft')
+    assert len(found) == len(TOPICS)
+    assert found['/left/events']['depth'] >= 5000
+    assert found['/left/ft']['reliability'] == 'best_effort'
+    # As the nodes take it.
+    assert '/left/ft' in rosbag2_qos('left', 'ft')
+    assert found['/left/camera_clock']['durability'] == 'transient_local'
+    for topic in TOPICS:
+        if topic.name == '/ft_sensor/wrench':
+            continue
+        chosen = found[topic.resolved('left')]
+        # A subscriber may ask for no more than its publisher offers.
+        assert chosen['reliability'] == 'best_effort' or topic.reliable
+        assert chosen['durability'] == 'volatile' or topic.latched

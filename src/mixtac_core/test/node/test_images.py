@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Image messages to arrays: every encoding, padding and byte order, against sums done by hand."""
+
+from __future__ import annotations
+
+from array import array
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_core.node.images import (
+    ENCODINGS,
+    TARGETS,
+    ImageConversionError,
+    fill,
+    grey,
+    image_array,
+    pixels,
+)
+
+CHANNELS = {'8UC3': 3, '16UC3': 3, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4}
+
+
+def message_of(image: np.ndarray, encoding: str, *, padding: int = 0, big: bool = False):
+    """Return an image message, written byte by byte."""
+    ordered = image.astype(image.dtype.newbyteorder('>' if big else '<'))
+    data = b''.join(row.tobytes() + b'\xee' * padding for row in ordered)
+    height, width = image.shape[:2]
+    return SimpleNamespace(
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(big),
+        step=len(data) // height,
+        data=array('B', data),
+    )
+
+
+def random_image(encoding: str, height: int = 6, width: int = 8, seed: int = 0) -> np.ndarray:
+    channels = CHANNELS.get(encoding) or CHANNELS.get(encoding.rstrip('0123456789'), 1)
+    dtype = np.uint16 if '16' in encoding else np.uint8
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
+
+
+@given(
+    encoding=st.sampled_from(ENCODINGS),
+    height=st.integers(1, 7),
+    width=st.integers(1, 7),
+    padding=st.integers(0, 5),
+    big=st.booleans(),
+)
+def test_pixels_survive_any_layout(encoding, height, width, padding, big):
+    image = random_image(encoding, height, width)
+    found = pixels(message_of(image, encoding, padding=padding, big=big))
+    np.testing.assert_array_equal(found, image)
+    assert found.dtype == image.dtype
+    assert found.dtype.isnative
+
+
+def test_unpadded_pixels_are_not_copied():
+    message = message_of(random_image('mono16'), 'mono16')
+    found = pixels(message)
+    assert np.shares_memory(found, np.frombuffer(message.data, np.uint8))
+    with pytest.raises(ValueError, match='read-only'):
+        found[0, 0] = 1
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_grey_has_the_bits_of_the_message(encoding):
+    image = random_image(encoding, 6, 8)
+    found = grey(message_of(image, encoding))
+    assert found.shape == (6, 8)
+    assert found.dtype == image.dtype
+    if encoding in ('mono8', 'mono16', '8UC1', '16UC1'):
+        np.testing.assert_array_equal(found, image)
+    if encoding == 'rgb16':
+        # ITU-R BT.601, as OpenCV's documentation states it.
+        luma = image.astype(float) @ (0.299, 0.587, 0.114)
+        assert np.abs(found - luma).max() < 2
+
+
+@pytest.mark.parametrize('target', TARGETS)
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_white_stays_white_and_black_black(encoding, target):
+    image = random_image(encoding)
+    for value in (0, np.iinfo(image.dtype).max):
+        found = image_array(message_of(np.full_like(image, value), encoding), target)
+        assert set(found.ravel()) == {0 if value == 0 else np.iinfo(found.dtype).max}
+        if target != 'passthrough':
+            assert found.dtype == (np.uint16 if target.endswith('16') else np.uint8)
+            assert found.shape == image.shape[:2] + ((3,) if target[:3] in {'rgb', 'bgr'} else ())
+
+
+@pytest.mark.parametrize('bits', [8, 16])
+def test_grey_is_the_luma_of_the_standard(bits):
+    image = random_image(f'rgb{bits}')
+    luma = image @ np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+    for order, encoding in ((slice(None), 'rgb'), (slice(None, None, -1), 'bgr')):
+        message = message_of(image[..., order], f'{encoding}{bits}')
+        grey = image_array(message, f'mono{bits}').astype(float)
+        # OpenCV's three coefficients have 15 bits.
+        assert np.abs(grey - luma).max() <= (1.0 if bits == 8 else 3.0)
+
+
+@pytest.mark.parametrize(('source', 'target'), [('rgb8', 'bgr8'), ('bgr16', 'rgb16')])
+def test_channels_change_places(source, target):
+    image = random_image(source)
+    np.testing.assert_array_equal(image_array(message_of(image, source), target), image[..., ::-1])
+
+
+def test_alpha_is_dropped():
+    image = random_image('rgba8')
+    np.testing.assert_array_equal(
+        image_array(message_of(image, 'rgba8'), 'bgr8'), image[..., 2::-1]
+    )
+
+
+def test_depth_is_scaled_to_the_nearest_level():
+    every = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    found = image_array(message_of(every, 'mono16'), 'mono8')
+    np.testing.assert_array_equal(found, np.rint(every / 65535 * 255))
+    back = image_array(message_of(np.arange(256, dtype=np.uint8)[None], 'mono8'), 'mono16')
+    np.testing.assert_array_equal(back[0], np.rint(np.arange(256) / 255 * 65535))
+
+
+@pytest.mark.parametrize('bits', [8, 16])
+@pytest.mark.parametrize('pattern', ['rggb', 'grbg', 'gbrg', 'bggr'])
+def test_a_mosaic_of_one_colour_becomes_that_colour(pattern, bits):
+    dtype = np.uint8 if bits == 8 else np.uint16
+    colour = {'r': 200, 'g': 90, 'b': 30}
+    mosaic = np.empty((8, 8), dtype)
+    for place, letter in enumerate(pattern):
+        mosaic[place // 2 :: 2, place % 2 :: 2] = colour[letter]
+    message = message_of(mosaic, f'bayer_{pattern}{bits}')
+    rgb = image_array(message, f'rgb{bits}')
+    np.testing.assert_array_equal(rgb, np.broadcast_to([200, 90, 30], (8, 8, 3)))
+    grey = image_array(message, f'mono{bits}')[2:-2, 2:-2].astype(float)
+    assert abs(grey.mean() - (0.299 * 200 + 0.587 * 90 + 0.114 * 30)) <= 1.0
+
+
+def test_generic_encodings_are_taken_as_opencv_does():
+    image = random_image('8UC3')
+    np.testing.assert_array_equal(
+        image_array(message_of(image, '8UC3'), 'mono8'), cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    )
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_filling_is_the_inverse(encoding):
+    image = random_image(encoding)
+    message = SimpleNamespace(data=array('B'))
+    fill(message, image, encoding)
+    np.testing.assert_array_equal(pixels(message), image)
+    assert message.encoding == encoding
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        *({'encoding': 'yuv422'}, {'step': 15}, {'height': 7}, {'height': 0}, {'width': 0}),
+        {'height': 10_000, 'width': 10_000},
+    ],
+)
+def test_damage_is_named(changes):
+    message = message_of(random_image('mono16'), 'mono16')
+    for name, value in changes.items():
+        setattr(message, name, value)
+    with pytest.raises(ImageConversionError) as caught:
+        image_array(message)
+    assert all(str(value) in str(caught.value) for value in changes.values())
+
+
+def test_impossible_requests_are_named():
+    with pytest.raises(ImageConversionError):
+        image_array(message_of(random_image('mono8'), 'mono8'), 'yuv')
+    with pytest.raises(ImageConversionError):
+        fill(SimpleNamespace(), random_image('mono16'), 'mono8')

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""AEDAT4 files written by dv-processing come out as they went in, and ours the other way round."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from recording_samples import START_US, assert_equal, read, some_events
+
+from mixtac_core.events.readings import EdgeKind, Edges, Frame, InertialSamples
+from mixtac_core.recordings.aedat4 import Aedat4Writer
+from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError, RecordingInfo
+from mixtac_core.recordings.summary import summarise
+
+dv = pytest.importorskip('dv_processing', reason='pip install dv-processing')
+EVENTS = some_events(count=3000)
+RNG = np.random.default_rng(7)
+IMU = RNG.normal(0, 10, (150, 7)).astype(np.float32)
+IMU_US = START_US + 333 * np.arange(150)
+PICTURES = RNG.integers(0, 256, (3, 26, 34)).astype(np.uint8)
+EDGES = {
+    1: EdgeKind.EXTERNAL_RISING,
+    2: EdgeKind.EXTERNAL_FALLING,
+    3: EdgeKind.EXTERNAL_PULSE,
+    4: EdgeKind.GENERATOR_RISING,
+    5: EdgeKind.GENERATOR_FALLING,
+}
+
+
+def write_with_dv(path, compression='LZ4', size=(346, 260)):
+    config = dv.io.MonoCameraWriter.Config(
+        'DAVIS346_V0000042', getattr(dv.CompressionType, compression)
+    )
+    config.addEventStream(size)
+    config.addFrameStream(size)
+    config.addImuStream()
+    config.addTriggerStream()
+    writer = dv.io.MonoCameraWriter(str(path), config)
+    writer.setPackagingCount(64)
+    for start in range(0, len(EVENTS), 700):
+        part, store = EVENTS[start : start + 700], dv.EventStore()
+        for event in zip(
+            *(c.tolist() for c in (part.t, part.x, part.y, part.polarity)), strict=True
+        ):
+            store.push_back(*event)
+        writer.writeEvents(store)
+    for number, picture in enumerate(PICTURES):
+        t_us, source = START_US + 20_000 * number, dv.FrameSource.SENSOR
+        writer.writeFrame(dv.Frame(t_us, 4000 + number, 3, 5, picture, source))
+    for t_us, row in zip(IMU_US.tolist(), IMU.tolist(), strict=True):
+        writer.writeImu(dv.IMU(t_us, *row, 0.0, 0.0, 0.0))
+    for number in range(40):
+        writer.writeTrigger(dv.Trigger(START_US + 1000 * number, dv.TriggerType(number % 10)))
+    return path
+
+
+@pytest.fixture(scope='module')
+def file(tmp_path_factory):
+    return write_with_dv(tmp_path_factory.mktemp('aedat4') / 'x.aedat4')
+
+
+@pytest.mark.parametrize('compression', ['NONE', 'LZ4', 'ZSTD'])
+def test_what_dv_processing_wrote_comes_out(tmp_path, compression):
+    found = read(write_with_dv(tmp_path / 'x.aedat4', compression))
+    assert found.info.camera == 'DAVIS346_V0000042'
+    assert (found.info.width, found.info.height) == (346, 260)
+    assert_equal(found.events, EVENTS)
+    for number, (frame, picture) in enumerate(zip(found.frames, PICTURES, strict=True)):
+        start_us = START_US + 20_000 * number
+        assert (frame.exposure_start_us, frame.x, frame.y) == (start_us, 3, 5)
+        assert frame.exposure_end_us == start_us + 4000 + number
+        np.testing.assert_array_equal(frame.image, picture.astype(int) * 4)
+    assert [sample[0] for sample in found.imu] == IMU_US.tolist()
+    temperature, acceleration, rotation = np.split(IMU, [1, 4], 1)
+    np.testing.assert_allclose([s[1] for s in found.imu], acceleration * 9.80665, rtol=1e-6)
+    np.testing.assert_allclose([s[2] for s in found.imu], np.deg2rad(rotation), rtol=1e-6)
+    np.testing.assert_array_equal([s[3] for s in found.imu], temperature[:, 0])
+    kinds = [(START_US + 1000 * n, EDGES[n % 10]) for n in range(40) if n % 10 in EDGES]
+    assert found.edges == kinds
+    assert (np.diff(found.times) >= 0).all()
+
+
+def test_what_was_written_here_comes_out(tmp_path):
+    frame = Frame(
+        PICTURES[0].astype(np.uint16) * 4, 1, 2, *[START_US] * 2, *[START_US + 700] * 2, 700, True
+    )
+    samples = InertialSamples(IMU_US, IMU[:, :3], IMU[:, 3:6], IMU[:, 6])
+    edges = Edges(START_US + np.arange(5), np.array(list(EDGES.values()), np.uint8))
+    writer = Aedat4Writer(
+        tmp_path / 'x.aedat4',
+        RecordingInfo(tmp_path, 'test', 'DAVIS <1>', 346, 260, 0, START_US, 90_000, ()),
+    )
+    writer.events(EVENTS)
+    writer.frame(frame)
+    writer.samples(samples)
+    writer.edges(edges)
+    writer.close()
+    found = read(tmp_path / 'x.aedat4')
+    assert found.info.camera == 'DAVIS <1>'
+    assert_equal(found.events, EVENTS)
+    (read_frame,) = found.frames
+    np.testing.assert_array_equal(read_frame.image, frame.image)
+    assert (read_frame.x, read_frame.exposure_end_us) == (1, START_US + 700)
+    for number, name in enumerate(('acceleration', 'angular_velocity', 'temperature'), 1):
+        np.testing.assert_allclose(
+            [s[number] for s in found.imu], getattr(samples, name), rtol=1e-6
+        )
+    assert found.edges == list(zip(edges.t.tolist(), edges.kind.tolist(), strict=True))
+
+
+def test_playing_from_an_offset_leaves_out_exactly_what_is_before(file):
+    from_us = START_US + 20_123
+    found = read(file, from_us)
+    assert_equal(found.events, EVENTS[EVENTS.t >= from_us])
+    assert [sample[0] for sample in found.imu] == IMU_US[from_us <= IMU_US].tolist()
+
+
+def test_streams_and_cameras_are_chosen(file):
+    found = read(file, events='none', imu='none')
+    assert (len(found.events), len(found.frames), len(found.imu)) == (0, 3, 0)
+    assert len(read(file, events='DAVIS346_V0000042').events) == len(EVENTS)
+    for names in ({'events': 'other'}, {'events': 'none', 'image': 'none', 'imu': 'none'}):
+        with pytest.raises(RecordingError):
+            read(file, **names)
+
+
+def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
+    path = write_with_dv(tmp_path / 'small.aedat4', size=(100, 100))
+    inside = EVENTS[(EVENTS.x < 100) & (EVENTS.y < 100)]
+    found = read(path)
+    assert_equal(found.events, inside)
+    assert found.counters.events_outside == len(EVENTS) - len(inside)
+    assert summarise(path).events['events'].outside == len(EVENTS) - len(inside)
+
+
+def test_a_suffix_in_capitals_is_refused_with_the_name_to_give(file, tmp_path):
+    path = tmp_path / 'X.AEDAT4'
+    path.write_bytes(file.read_bytes())
+    with pytest.raises(RecordingError) as error:
+        read(path)
+    assert 'X.aedat4' in error.value.remedy
+
+
+@pytest.mark.parametrize('keep', [0.0, 0.001, 0.01])
+def test_a_file_without_a_whole_packet_gives_one_line_with_its_name(file, tmp_path, keep):
+    whole = file.read_bytes()
+    path = tmp_path / 'cut.aedat4'
+    path.write_bytes(whole[: int(len(whole) * keep)])
+    with pytest.raises(DamagedRecordingError) as error:
+        read(path)
+    assert str(path) in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+def test_without_dv_processing_the_package_is_named(file, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'dv_processing', None)
+    with pytest.raises(RecordingError) as error:
+        read(file)
+    assert 'pip install dv-processing' in error.value.remedy

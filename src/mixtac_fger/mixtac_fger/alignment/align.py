@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A recording, and its clock map by two taps or by the edges of a trigger line.
+
+Where a trigger line gives edges to the camera and to the reference sensor, these are exact to
+microseconds, but an edge of one recording has no name in the other: the map is the one under which
+the most edges meet. Edges at equal distances meet under many; they are refused unless both
+recordings hold the same number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_fger.alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
+from mixtac_fger.alignment.errors import AmbiguousImpulsesError, NoImpulseError
+from mixtac_fger.alignment.histories import CellEvents, EventCounts, FrameFeatures
+from mixtac_fger.alignment.impulses import FORCE_GAP_S
+from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
+from mixtac_fger.alignment.taps import fit_taps
+
+Floats = NDArray[np.float64]
+
+
+Method = Literal['taps', 'edges']
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What both clocks recorded; camera times on the camera clock, the others on the reference's.
+
+    Attributes:
+        counts: Event counts, with lost packets marked.
+        events: Events by cell; the latest ones where there are very many.
+        frames: Frames, or None where there are no exposure times.
+        force_t_s: Stamps of the reference sensor [s], ``float64 [n]``, increasing.
+        force: Its normal force [N], of either sign.
+        edges_us: Edges at the camera's synchronisation input, camera clock [us].
+        reference_edges_s: The same edges on the reference clock [s].
+        all_edges: Whether the first edges of both clocks are the same one, and so on.
+        damage: What is missing because the bag is incomplete; empty for a sound one.
+    """
+
+    counts: EventCounts
+    events: CellEvents
+    frames: FrameFeatures | None
+    force_t_s: Floats
+    force: Floats
+    edges_us: NDArray[np.int64]
+    reference_edges_s: Floats
+    damage: str = ''
+    all_edges: bool = False
+
+
+def align(
+    recording: Recording,
+    parameters: AlignmentParameters = DEFAULTS,
+    *,
+    method: Method = 'taps',
+    use_all: bool = False,
+    max_gap_s: float = FORCE_GAP_S,
+) -> ClockFit:
+    """Fit the clock map of a recording.
+
+    Args:
+        recording: The recording.
+        parameters: Definition of an impulse, latencies, limits of clocks.
+        method: `taps` fits the two synchronising impulses, `edges` the edges of a trigger line.
+        use_all: Fit all strong impulses by least squares instead of the first and the last.
+        max_gap_s: Longest stretch without force samples [s].
+
+    Raises:
+        AlignmentError: No trustworthy map.
+    """
+    if method == 'edges':
+        edges = recording.edges_us, recording.reference_edges_s
+        return fit_edges(*edges, complete=recording.all_edges)
+    return fit_taps(
+        recording.counts,
+        recording.events,
+        recording.frames,
+        recording.force_t_s,
+        recording.force,
+        parameters,
+        use_all=use_all,
+        max_gap_s=max_gap_s,
+    )
+
+
+FEWEST_EDGES: Final = 3
+"""Two edges are as far apart as two others by chance."""
+EDGE_STD_S: Final = 2e-6
+"""Both stamps are counts of a microsecond, with as much jitter."""
+TOLERANCE_S: Final = 2e-3
+"""Edges further apart than this, and the drift, are not the same."""
+RIVAL: Final = 0.9
+"""Share of the most edges that meet from which on another way to meet is a rival."""
+TRIED: Final = 20
+"""Edges, spread over the recording, for which a partner is looked for, and partners tried for each:
+trying all pairs takes minutes."""
+NEIGHBOURS: Final = 8
+"""Edges before and after each that show its likeliest partners."""
+
+
+def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int64]) -> bool:
+    """Return whether edges of both clocks arrived in pairs: then the pairs are the same edges.
+
+    Args:
+        camera_ns: When the edges of the camera arrived, in this order [ns], any clock, int64 [n].
+        reference_ns: When those of the reference arrived, same clock.
+    """
+    if len(camera_ns) != len(reference_ns) or len(camera_ns) < FEWEST_EDGES:
+        return False
+    apart = np.abs(camera_ns - reference_ns).max()
+    return bool(2 * apart < min(np.diff(camera_ns).min(), np.diff(reference_ns).min()))
+
+
+def fit_edges(
+    camera_us: NDArray[np.int64],
+    reference_s: NDArray[np.float64],
+    *,
+    complete: bool = True,
+) -> ClockFit:
+    """Fit the clock map to edges by least squares.
+
+    Args:
+        camera_us: Edges at the camera's synchronisation input, camera clock [us], ``int64``.
+        reference_s: The same edges on the reference clock [s], ``float64``.
+        complete: As many on both sides are the same ones, in this order.
+
+    Raises:
+        NoImpulseError: Fewer than three edges in one recording, or none that meet.
+        AmbiguousImpulsesError: Edges meet in more than one way.
+        ShortBaselineError: Edges too close to each other.
+        DriftError: The drift is not believable.
+    """
+    camera, reference = np.unique(camera_us), np.unique(reference_s)
+    if min(len(camera), len(reference)) < FEWEST_EDGES:
+        raise NoImpulseError(
+            f'{len(camera)} edges on external_edges, from the camera, and {len(reference)} on '
+            'reference_edges: three of each are needed',
+            remedy='record both topics with the trigger line connected, or align by taps',
+        )
+    x = (camera - camera[0]).astype(np.float64) * 1e-6
+    y = reference - reference[0]
+    whole = _pairs(x, y, 0, 0) if complete and len(x) == len(y) else []
+    pairs = whole if whole and len(whole) == len(x) else _best_pairs(x, y)
+    anchors = [Anchor(int(camera[i]), float(reference[j]), EDGE_STD_S) for i, j in pairs]
+    return fit_clock(anchors, method='hardware_edges')
+
+
+def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[int, int]]:
+    tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64))
+    found = [_pairs(x, y, i, j) for i in tried.tolist() for j in _likely(x, y, i)]
+    best = max(found, key=len)
+    if len(best) < FEWEST_EDGES:
+        raise NoImpulseError('no three edges have the same times between them in both recordings')
+    for other in found:
+        if len(other) > RIVAL * len(best) and not set(other) & set(best):
+            raise AmbiguousImpulsesError(
+                f'{len(best)} edges meet in more than one way: send them at unequal distances, or '
+                'start both recordings before the first edge'
+            )
+    return best
+
+
+def _nearest(y: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the indices of the edges that are nearest to some times."""
+    after = np.clip(np.searchsorted(y, times), 1, len(y) - 1)
+    return np.asarray(after - ((times - y[after - 1]) < (y[after] - times)), np.int64)
+
+
+def _likely(x: NDArray[np.float64], y: NDArray[np.float64], i: int) -> list[int]:
+    """Return the edges of y that are most likely edge i of x, by the edges around it."""
+    around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
+    expected = y[:, None] + around
+    distance = np.abs(y[_nearest(y, expected)] - expected)
+    meets = (distance <= TOLERANCE_S + MAX_DRIFT * np.abs(around)).sum(axis=1)
+    return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
+
+
+def _pairs(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> list[tuple[int, int]]:
+    """Return the pairs that meet when edge i is edge j."""
+    expected = x - x[i] + y[j]
+    nearest = _nearest(y, expected)
+    allowed = TOLERANCE_S + MAX_DRIFT * np.abs(x - x[i])
+    meets = np.abs(y[nearest] - expected) <= allowed
+    pairs = [(int(k), int(nearest[k])) for k in np.flatnonzero(meets)]
+    return pairs if len({second for _, second in pairs}) == len(pairs) else []

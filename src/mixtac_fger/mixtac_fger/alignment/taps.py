@@ -1,0 +1,438 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""The clock map from whole taps: all their events against the whole course of the force.
+
+Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This needs no trough,
+which pixels with unequal thresholds can hide or double. The frames, laid over the force by that
+map, show which parts of the image brighten under force. The signed events of each tap are then
+fitted with the events that the course of the force predicts.
+
+The force, through the lag of the gel, gives the depth of the tap, :math:`d \propto \sqrt{F_e}` (the
+force of a ball on a thin layer grows with the square of its depth). Pixels whose log brightness
+follows the depth fire each time it has moved by a threshold, and pixels differ in how many
+thresholds the tap moves them by. The model is a sum, with non-negative weights, of the expected
+events of a few classes of pixels. It explains what a plain comparison of rates cannot: the second
+burst starts late and is smaller, because pixels must first come back by their threshold. ON and OFF
+events count with opposite signs, weighted by how much each part of the image brightens under force
+in the frames, so that bursts without deformation cancel.
+
+A pixel that a load has brightened and that has come back last fired OFF, so it stands nearer to its
+OFF threshold: the next load shows later in it than in a pixel at a random distance. Noise and leak
+spread the pixels again. At the first tap of a recording all pixels are assumed to be spread evenly;
+at later taps half of them are assumed to stand where a load left them.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
+from mixtac_fger.alignment.errors import NoImpulseError
+from mixtac_fger.alignment.histories import CellEvents, EventCounts, FrameFeatures
+from mixtac_fger.alignment.impulses import (
+    FORCE_GAP_S,
+    MIN_SPACING_S,
+    Impulse,
+    ImpulsePair,
+    paired_impulses,
+    strongest,
+)
+from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
+from mixtac_fger.alignment.signals import (
+    even_force,
+    gaussian_smooth,
+    pressing_sign,
+    prominent_peaks,
+)
+
+STEP_S: Final = 1e-4
+"""Time step of the model [s]."""
+BIN_US: Final = 500
+"""Bin of the events that are fitted [us]."""
+BEFORE_S: Final = 0.06
+"""Time before a tap from which its events are counted [s]."""
+AFTER_S: Final = 0.10
+"""Time after a tap up to which its events are counted [s]."""
+FITTED_S: Final = 0.03
+"""Time to both sides of the force peak that is fitted [s]; taps last 20 to 40 ms."""
+SEARCH_S: Final = 0.014
+"""How far from the expected moment the tap may be [s]."""
+GAINS: Final = (0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 8.0, 13.0)
+"""Thresholds that a tap moves the pixels of a class by."""
+OFF_OVER_ON: Final = 1.3
+"""OFF over ON threshold of a DAVIS346 at its usual biases: 0.27 over 0.21 log-e."""
+PIXEL_S: Final = 5e-4
+"""Time constant of the pixels [s]; additional delay counts as latency."""
+PHASES: Final = 24
+"""Distances to the threshold at which the pixels of a class start."""
+COURSE_BIN_US: Final = 4000
+"""Bin of the events in `common_course` [us]."""
+COURSE_BINS: Final = 18
+"""Bins of `common_course`, from `FITTED_S` before the tap on."""
+LEAST_FORCE_N: Final = 0.02
+"""Rounds the square root where the contact begins [N]."""
+DARKER: Final = 0.02
+"""Noise of a cell's log brightness (natural logarithm)."""
+
+
+class TapFit(NamedTuple):
+    """A tap found in the events.
+
+    Attributes:
+        delay_s: How much later than expected it shows [s].
+        misfit: Share of the signal's power that the model leaves.
+    """
+
+    delay_s: float
+    misfit: float
+
+
+def brightening(values: NDArray[np.float32], depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return weights that make the cells' change of brightness one signal, ``[cells]``.
+
+    Args:
+        values: Log brightness of the cells in each frame, ``[n, cells]``.
+        depth: Depth at each frame, in any unit, ``[n]``.
+    """
+    centred = values - values.mean(axis=0)
+    moved = depth - depth.mean()
+    slope = (centred.T @ moved) / max(float(moved @ moved), 1e-12)
+    scatter = np.var(centred - np.outer(moved, slope), axis=0)
+    return np.asarray(slope / (scatter + DARKER**2), np.float64)
+
+
+def common_course(events: CellEvents, at_us: int, cells: int) -> NDArray[np.float64]:
+    """Return weights under which the cells' signed events of a tap have most in common.
+
+    The first singular vector of events over cells and time, which takes no frames; of either sign.
+
+    Args:
+        events: Events, camera clock.
+        at_us: Expected moment of the tap, camera clock [us].
+        cells: Number of cells.
+    """
+    start = at_us - round(1e6 * FITTED_S)
+    near = events.between(start, start + COURSE_BINS * COURSE_BIN_US)
+    inside = near.cell < cells
+    cell = near.cell[inside].astype(np.int64)
+    place = cell * COURSE_BINS + (near.t_us[inside] - start) // COURSE_BIN_US
+    signed = np.bincount(
+        place, np.where(near.on[inside], 1.0, -OFF_OVER_ON), cells * COURSE_BINS
+    ).reshape(cells, COURSE_BINS)
+    noise = np.sqrt(np.bincount(cell, minlength=cells) + 5.0)
+    common = np.linalg.svd(signed / noise[:, None], full_matrices=False)[0][:, 0]
+    return np.asarray(common / noise, np.float64)
+
+
+def depth_of(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the depth under a force [N], in any unit."""
+    force = np.maximum(force_N, 0.0)
+    return np.asarray(np.sqrt(force + LEAST_FORCE_N) - np.sqrt(LEAST_FORCE_N))
+
+
+LAG_TIMES_S: Final = (0.7e-3, 4.1e-3, 0.055, 1.05, 20.0)
+"""Retardation times of a soft silicone [s]."""
+LAG_WEIGHTS: Final = (0.26, 0.26, 0.035, 0.035, 0.03)
+"""Weight of the response with each time."""
+
+
+def elastic_force(
+    t_s: NDArray[np.float64], force_N: NDArray[np.float64], at_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the elastic part of a force, which the deformation of the gel follows.
+
+    The force on a layer of silicone leads its deformation: F = F_e + sum h_i with
+    ``dh_i/dt = -h_i / tau_i + g_i dF_e/dt`` (quasi-linear viscoelasticity, Prony series). Expressed
+    by the force, F_e = F - sum w_i H_i, where H_i is the force after a high-pass filter with the
+    time constant T_i.
+
+    Args:
+        t_s: Times of evenly sampled force [s].
+        force_N: Force [N].
+        at_s: Times at which the elastic part is returned, in steps of `STEP_S` [s].
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import lfilter
+
+    force = CubicSpline(t_s, force_N, bc_type='natural')(at_s)
+    change = np.diff(force, prepend=force[0])
+    for time_s, weight in zip(LAG_TIMES_S, LAG_WEIGHTS, strict=True):
+        decay = float(np.exp(-STEP_S / time_s))
+        gain = time_s / STEP_S * (1.0 - decay)
+        force = force - weight * lfilter([gain], [1.0, -decay], change)
+    return np.asarray(force, np.float64)
+
+
+class TapModel:
+    """Predicted events for a force profile.
+
+    Args:
+        t_s: Sample times [s], reference clock, evenly spaced, ``float64 [n]``.
+        force_N: Smooth force, pressing positive [N], ``float64 [n]``.
+        at_s: Time of the force peak [s].
+        loaded: Whether the sensor has been loaded before in the recording.
+    """
+
+    def __init__(
+        self,
+        t_s: NDArray[np.float64],
+        force_N: NDArray[np.float64],
+        at_s: float,
+        *,
+        loaded: bool = False,
+    ) -> None:
+        near = (t_s > at_s - 0.15) & (t_s < at_s + 0.2)
+        t, force = t_s[near] - at_s, force_N[near]
+        rest = float(np.median(force[t < -0.05])) if np.any(t < -0.05) else 0.0
+        start, end = max(-BEFORE_S, float(t[0]) + STEP_S), min(AFTER_S, float(t[-1]) - STEP_S)
+        fine = np.arange(start, end, STEP_S)
+        depth = depth_of(elastic_force(t, force - rest, fine))
+        depth /= max(float(depth.max()), 1e-9)
+        classes = np.stack([_events(depth, gain, loaded=loaded) for gain in GAINS])
+        self._edges = np.append(fine - 0.5 * STEP_S, fine[-1] + 0.5 * STEP_S)
+        self._total = np.pad(np.cumsum(classes, axis=1), ((0, 0), (1, 0)))
+
+    def fit(self, edges_s: NDArray[np.float64], signal: NDArray[np.float64]) -> TapFit:
+        """Return when the tap shows in a signal.
+
+        Args:
+            edges_s: Edges of the bins [s], from the expected moment of the force peak, ``[m + 1]``.
+            signal: Signed events per bin, ``[m]``.
+        """
+        used = (edges_s[:-1] >= -FITTED_S) & (edges_s[1:] <= FITTED_S)
+        power = float(signal[used] @ signal[used])
+        if power <= 0.0:
+            return TapFit(0.0, 1.0)
+        coarse = np.arange(-SEARCH_S, SEARCH_S + 1e-9, 1e-3)
+        left = np.array([self._left(x, edges_s, signal, used) for x in coarse])
+        fine = coarse[int(np.argmin(left))] + np.arange(-1.2e-3, 1.3e-3, 2e-4)
+        left = np.array([self._left(x, edges_s, signal, used) for x in fine])
+        k = int(np.clip(np.argmin(left), 2, len(left) - 3))
+        bend, slope, _ = np.polyfit(fine[k - 2 : k + 3] - fine[k], left[k - 2 : k + 3], 2)
+        aside = -slope / (2.0 * bend) if bend > 0.0 else 0.0
+        return TapFit(float(fine[k] + np.clip(aside, -4e-4, 4e-4)), float(left[k]) / power)
+
+    def _left(
+        self,
+        delay_s: float,
+        edges_s: NDArray[np.float64],
+        signal: NDArray[np.float64],
+        used: NDArray[np.bool_],
+    ) -> float:
+        at = edges_s - delay_s
+        design = np.stack([np.diff(np.interp(at, self._edges, row))[used] for row in self._total])
+        from scipy.optimize import nnls
+
+        try:
+            left = nnls(design.T, signal[used])[1]
+        except RuntimeError:  # too many steps: as if no weights explained the signal
+            left = np.linalg.norm(signal[used])
+        return float(left) ** 2
+
+
+def tap_signal(
+    events: CellEvents, at_us: int, weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return edges of bins [s] from a moment, and the signed weighted events in them.
+
+    Args:
+        events: Events, camera clock.
+        at_us: The moment, camera clock [us].
+        weight: Weight of each cell.
+    """
+    start, count = at_us - round(1e6 * BEFORE_S), round(1e6 * (BEFORE_S + AFTER_S)) // BIN_US
+    near = events.between(start, start + count * BIN_US)
+    inside = near.cell < len(weight)
+    bins = (near.t_us[inside] - start) // BIN_US
+    size = np.where(near.on[inside], 1.0, -OFF_OVER_ON) * weight[near.cell[inside]]
+    edges_us = start - at_us + np.arange(count + 1) * BIN_US
+    return edges_us.astype(np.float64) * 1e-6, np.bincount(bins, size, count).astype(np.float64)
+
+
+def _events(depth: NDArray[np.float64], gain: float, *, loaded: bool) -> NDArray[np.float64]:
+    keep = float(np.exp(-STEP_S / PIXEL_S))
+    fired = np.asarray(_fire(gain * depth, keep, PHASES, OFF_OVER_ON, 0.0))
+    if loaded:
+        fired = 0.5 * (fired + _fire(gain * depth, keep, PHASES, OFF_OVER_ON, gain))
+    return np.asarray(fired / gain)
+
+
+@njit(cache=True, nogil=True)
+def _fire(
+    course: NDArray[np.float64], keep: float, phases: int, off: float, before: float
+) -> NDArray[np.float64]:
+    """Return the signed events per step of pixels that start at all distances to their thresholds.
+
+    A pixel follows the course, in ON thresholds, through a low-pass of first order. From where it
+    starts, a load that moved it by `before`, spread by 0.6 to 1.4, has come and gone.
+    """
+    fired = np.zeros(len(course))
+    for phase in range(phases):
+        value = course[0]
+        last = value + off - (1.0 + off) * (phase + 0.5) / phases
+        # A stride that is coprime to the number of phases: loads independent of the start.
+        top = value + before * (0.6 + 0.8 * (phase * 7 % phases) / phases)
+        while top - last >= 1.0:
+            last += 1.0
+        while value - last <= -off:
+            last -= off
+        for i in range(1, len(course)):
+            value = keep * value + (1.0 - keep) * course[i]
+            while value - last >= 1.0:
+                last += 1.0
+                fired[i] += 1.0
+            while value - last <= -off:
+                last -= off
+                fired[i] -= off
+    return fired / phases
+
+
+SMOOTHING_S: Final = 0.006
+"""Standard deviation of the smoothing that merges both bursts of a tap [s]."""
+BURST_STD_S: Final = 0.003
+"""Standard deviation of the time of a smoothed burst [s]."""
+BURST_LATENCY_S: Final = 0.001
+"""Delay from the force peak to the peak of the smoothed burst [s]."""
+BURST_MATCH_S: Final = 0.02
+"""Largest disagreement of a burst and a force peak that are the same tap [s]."""
+TAP_STD_S: Final = 4.5e-4
+"""Scatter of taps of one sensor [s], found on simulated trials outside the benchmark."""
+COMMON_STD_S: Final = 1.0e-3
+"""Scatter of taps whose deformation the frames do not show, because another object made it [s]."""
+DOUBTFUL_MISFIT: Final = 0.4
+"""Share of a tap's signal left over from which the weights of the frames are doubted."""
+LARGEST_MISFIT: Final = 0.65
+"""Share of a tap's signal that may be left: 0.05 to 0.3 on simulated trials."""
+FEWEST_FRAMES: Final = 20
+"""Frames while the force was recorded that show which cells brighten under force."""
+UNLOADED_PERCENT: Final = 5.0
+"""Percentile of the force that counts as unloaded: before and after the taps nothing touches."""
+
+
+def fit_taps(
+    counts: EventCounts,
+    events: CellEvents,
+    frames: FrameFeatures | None,
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    parameters: AlignmentParameters = DEFAULTS,
+    *,
+    use_all: bool = False,
+    max_gap_s: float = FORCE_GAP_S,
+) -> ClockFit:
+    """Fit the clock map to the first and the last tap.
+
+    Args:
+        counts: Event counts, camera clock.
+        events: Events around the taps at least, camera clock.
+        frames: Frames, camera clock; without some twenty, the direction that the events of a tap
+            share weighs the cells.
+        force_t_s: Force sample times, reference clock [s], increasing.
+        force_N: Normal force [N], either sign.
+        parameters: What counts as a tap, the latency of the events, limits of clocks.
+        use_all: Fit all strong taps by least squares instead of the first and the last.
+        max_gap_s: Longest stretch without force samples [s].
+
+    Raises:
+        AlignmentError: As `impulses.paired_impulses`, or taps whose events do not follow the
+            force.
+    """
+    pairs, start_s = paired_impulses(
+        *(counts, force_t_s, force_N, parameters, find_bursts),
+        match_s=BURST_MATCH_S,
+        max_gap_s=max_gap_s,
+    )
+    used = pairs if use_all else (pairs[0], pairs[-1])
+    t_s, force = even_force(force_t_s - start_s, force_N)
+    force = pressing_sign(force) * force
+    force -= np.percentile(force, UNLOADED_PERCENT)
+    cells = int(events.cell.max(initial=0)) + 1
+    weight = _weights(pairs, counts.start_us, frames, t_s, force, cells)
+    anchors = []
+    for number, pair in enumerate(used):
+        model = TapModel(t_s, force, pair.reference.time_s, loaded=number > 0)
+        expected_us = counts.start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
+        found, std_s = _delay(model, events, expected_us, weight)
+        if found.misfit > LARGEST_MISFIT:
+            raise NoImpulseError(
+                f'the events {pair.camera.time_s:.2f} s into the recording do not follow the force '
+                f'of the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, '
+                'sharply'
+            )
+        at_us = expected_us + round(1e6 * (found.delay_s - 1e-3 * parameters.tap_latency))
+        anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
+    fit = fit_clock(
+        anchors,
+        min_baseline_s=parameters.min_baseline,
+        max_drift=1e-6 * parameters.max_drift,
+        common_std_s=1e-3 * parameters.tap_latency_std,
+    )
+    return with_drift_prior(fit, 1e-6 * parameters.drift_std)
+
+
+def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:
+    """Find bursts of the smoothed event rate that are as short as a tap's.
+
+    Args:
+        counts: Event counts, camera clock.
+        parameters: What counts as an impulse.
+
+    Returns:
+        Impulses in the order of time, relative to the start of the counts.
+    """
+    width_s = counts.width_us * 1e-6
+    rate = counts.counts.astype(np.float64) / width_s
+    smooth = gaussian_smooth(rate, SMOOTHING_S / width_s)
+    window = 2 * round(4.0 * parameters.max_width / width_s) + 1
+    peaks = prominent_peaks(smooth, parameters.min_burst_rate, window)
+    reach = round(0.05 / width_s)
+    impulses = [
+        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height))
+        for peak, height, width in zip(*peaks, strict=True)
+        if width * width_s <= 1.5 * parameters.max_width and not counts.lost_near(int(peak), reach)
+    ]
+    return strongest(impulses, MIN_SPACING_S)
+
+
+def _weights(
+    pairs: tuple[ImpulsePair, ...],
+    start_us: int,
+    frames: FrameFeatures | None,
+    t_s: NDArray[np.float64],
+    force: NDArray[np.float64],
+    cells: int,
+) -> NDArray[np.float64]:
+    """Return the weights of the cells from frames laid over the force by the coarse map.
+
+    They are 0 without enough frames.
+    """
+    unknown = np.zeros(cells)
+    if frames is None:
+        return unknown
+    first, last = pairs[0], pairs[-1]
+    span = last.camera.time_s - first.camera.time_s
+    rate = (last.reference.time_s - first.reference.time_s) / span
+    middle = 0.5 * ((frames.start_us - start_us) + (frames.end_us - start_us)) * 1e-6
+    at = first.reference.time_s + rate * (middle - first.camera.time_s + BURST_LATENCY_S)
+    inside = (at > t_s[0]) & (at < t_s[-1])
+    if int(inside.sum()) < FEWEST_FRAMES:
+        return unknown
+    return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
+
+
+def _delay(
+    model: TapModel, events: CellEvents, expected_us: int, weight: NDArray[np.float64]
+) -> tuple[TapFit, float]:
+    """Return the tap found about an expected moment, and its standard deviation [s]."""
+    found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S
+    if found.misfit > DOUBTFUL_MISFIT:
+        common = common_course(events, expected_us, len(weight))
+        for own in (common, -common):
+            other = model.fit(*tap_signal(events, expected_us, own))
+            if other.misfit < found.misfit:
+                found, std_s = other, COMMON_STD_S
+    return found, std_s

@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: force samples and packets, and what is refused."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from mixtac_core.events.arrays import Events
+from mixtac_core.events.codec import StreamDecoder, encode
+from mixtac_core.events.packets import CodecError
+from mixtac_core.node import topics
+from mixtac_core.recordings.bag import typestore
+from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.recording import RecordingError
+from mixtac_core.recordings.stream_writer import StreamWriter
+from mixtac_fger.alignment.bags import add_packet, read_recording
+from mixtac_fger.alignment.errors import GapError
+from mixtac_fger.alignment.histories import EventHistory
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+SECOND_NS = 1_000_000_000
+
+
+def bag(
+    path: Path, samples: list[tuple[int, float]], packets_us: Sequence[int] = (1_000_000,)
+) -> Path:
+    """Write a bag with forces at times [ns] and packets of one event at times [us]."""
+    with McapBag(path) as written:
+        writer = StreamWriter(written, (346, 260))
+        for t_us in packets_us:
+            event = np.array([t_us]), np.zeros(1, np.uint16), np.zeros(1, np.uint16)
+            writer.events(Events(*event, np.ones(1, np.bool_)), t_us + 1000, SECOND_NS)
+        for k, (stamp_ns, normal) in enumerate(samples):
+            values = np.array([0.0, 0.0, normal, 0.0, 0.0, 0.0])
+            writer.wrench(topics.REFERENCE_WRENCH, stamp_ns, values, '', SECOND_NS + k)
+    return path
+
+
+def test_samples_without_a_later_stamp_or_a_number_are_left_out(tmp_path: Path) -> None:
+    samples = [(SECOND_NS + 1_000_000 * k, float(k)) for k in range(9)]
+    samples[0] = (0, 1.0)
+    samples[3] = (0, 3.0)
+    samples[5] = (samples[4][0], 5.0)
+    samples[7] = (samples[7][0], float('nan'))
+    recording = read_recording(bag(tmp_path / 'bag', samples))
+    assert recording.force.tolist() == [1.0, 2.0, 4.0, 6.0, 8.0]
+    assert recording.force_t_s.tolist() == [1.001, 1.002, 1.004, 1.006, 1.008]
+
+
+def test_a_reference_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+    samples = [(SECOND_NS * k, float(k)) for k in (8, 9, 5, 6)]
+    with pytest.raises(GapError):
+        read_recording(bag(tmp_path / 'bag', samples))
+
+
+def test_a_bag_of_hours_keeps_its_force(tmp_path: Path) -> None:
+    samples = [(SECOND_NS * k, float(k)) for k in range(1, 9000, 1000)]
+    assert len(read_recording(bag(tmp_path / 'bag', samples)).force) == 9
+
+
+def test_a_bag_without_packets_is_refused(tmp_path: Path) -> None:
+    samples = [(SECOND_NS + 1_000_000 * k, float(k)) for k in range(9)]
+    with pytest.raises(RecordingError):
+        read_recording(bag(tmp_path / 'bag', samples, packets_us=()))
+
+
+def test_a_camera_clock_that_jumps_and_big_endian_events_are_refused() -> None:
+    store, history, decoder = typestore(), EventHistory(60.0), StreamDecoder()
+    kind = 'event_camera_msgs/msg/EventPacket'
+
+    def add(until_us: int, seq: int, *, big: bool = False) -> None:
+        packet = encode(Events.empty(), complete_until=until_us)
+        stamp = store.types['builtin_interfaces/msg/Time'](1, 2)
+        header = store.types['std_msgs/msg/Header'](stamp, 'camera')
+        content = packet.time_base, packet.encoding, big, packet.payload
+        message = store.types[kind](header, 260, 346, seq, *content)
+        add_packet(bytes(store.serialize_cdr(message, kind)), decoder, history)
+
+    add(5_000_000, 0)
+    add(5_001_000, 1)
+    with pytest.raises(CodecError):
+        add(5_002_000, 2, big=True)
+    with pytest.raises(GapError):
+        add(1_000_000, 3)

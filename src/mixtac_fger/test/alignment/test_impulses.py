@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Impulses in each recording alone, and the vertex between samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_fger.alignment.errors import GapError
+from mixtac_fger.alignment.histories import EventCounts
+from mixtac_fger.alignment.impulses import (
+    Impulse,
+    find_force_impulses,
+    mark_gaps,
+    prefer_isolated,
+    require_continuous,
+    strongest,
+    vertex,
+)
+
+
+@given(
+    at=st.floats(-0.9, 0.9),
+    curvature=st.floats(0.01, 1e6) | st.floats(-1e6, -0.01),
+    n=st.integers(3, 40),
+    start=st.floats(-1e4, 1e4),
+)
+def test_the_vertex_of_a_parabola_is_exact(
+    at: float, curvature: float, n: int, start: float
+) -> None:
+    t = start + np.linspace(-1.0, 1.0, n)
+    found, std = vertex(t, 3.0 + curvature * (t - start - at) ** 2)
+    assert found == pytest.approx(start + at, abs=1e-5)
+    assert std < 1e-4
+
+
+@given(values=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=30))
+def test_the_vertex_stays_within_the_samples(values: list[float]) -> None:
+    t = np.arange(len(values)) * 1e-3
+    found, std = vertex(t, np.array(values))
+    assert t[0] <= found <= t[-1]
+    assert np.isfinite(std)
+    assert std >= 0.0
+
+
+def test_only_the_strongest_of_neighbours_counts() -> None:
+    impulses = [Impulse(t, 1e-4, s) for t, s in ((0.0, 1.0), (0.1, 3.0), (0.2, 2.0), (1.0, 1))]
+    assert [i.time_s for i in strongest(impulses, 0.15)] == [0.1, 1.0]
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_force_peaks_lie_between_the_samples(scene: Any, seed: int) -> None:
+    case = scene(seed=seed, noise=0.01, tap_s=0.016, drift=0.0, reference_start_s=0.0)
+    _, t, force = case.recording()
+    found = find_force_impulses(t, force)
+    assert [i.time_s for i in found] == pytest.approx(case.taps_s, abs=3e-4)
+    assert not any(i.saturated for i in found)
+
+
+def test_slow_presses_are_no_impulses(scene: Any) -> None:
+    _, t, force = scene(taps_s=(), heights=()).recording()
+    assert find_force_impulses(t - t[0], force) == []
+
+
+@pytest.mark.parametrize(
+    ('taps', 'hold', 'wanted'),
+    [
+        ({1.0: 1.0, 5.0: 9.0, 5.2: 7.0, 5.37: 5.0, 5.5: 4.0, 10.0: 1.2}, 0.0, [1.0, 10.0]),
+        ({1.0: 1.0, 6.0: 1.0, 10.0: 1.0}, 0.8, [1.0, 10.0]),
+        ({1.0: 1.0, 1.2: 1.0, 5.0: 1.0, 5.2: 1.0}, 0.0, [1.0, 1.2, 5.0, 5.2]),
+    ],
+)
+def test_taps_that_stand_alone_are_preferred(
+    taps: dict[float, float], hold: float, wanted: list[float]
+) -> None:
+    time = np.arange(0.0, 12.0, 0.00125)
+    height = sum(h * np.exp(-0.5 * ((time - at) / 0.008) ** 2) for at, h in taps.items())
+    height = height + 0.01 * np.sin(700 * time) + hold * ((time > 4.0) & (time < 7.0))
+    found = prefer_isolated([Impulse(at, 1e-4, 1.0) for at in taps], time, height)
+    assert [each.time_s for each in found] == wanted
+
+
+def test_silence_that_noise_makes_impossible_is_lost_data() -> None:
+    counts = np.random.default_rng(0).poisson(10.0, 2000).astype(np.int64)
+    counts[500:900] = 0
+    assert mark_gaps(EventCounts(0, 500, counts)).lost == ((500, 900),)
+    quiet = np.zeros(2000, np.int64)
+    quiet[::100] = 1
+    assert mark_gaps(EventCounts(0, 500, quiet)).lost == ()
+
+
+def test_a_gap_in_the_force_is_refused() -> None:
+    t = np.arange(0.0, 5.0, 1.0 / 800.0)
+    require_continuous(np.delete(t, [100, 101]))
+    with pytest.raises(GapError):
+        require_continuous(np.where(t > 2.0, t + 0.2, t))
