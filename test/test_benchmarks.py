@@ -23,10 +23,14 @@ ROOT = Path(__file__).resolve().parents[1]
             {'events_per_s', 'memcpy_ratio', 'frames_per_s', 'start_s'},
         ),
         ('infer', ('--seconds', '3'), {'step_ms', 'between_ms', 'frame_ms', 'windows', 'late'}),
+        pytest.param(
+            *('latency', ('--seconds', '3'), {'force_hz', 'force_age_p50_ms', 'forces_lost'}),
+            marks=pytest.mark.dds,
+        ),
     ],
 )
-def test_a_benchmark_writes_its_figures(tmp_path, name, options, figures):
+def test_a_benchmark_writes_its_figures(tmp_path, name, options, figures, ros_domain):
     file = tmp_path / 'figures.json'
     command = [sys.executable, str(ROOT / 'benchmarks' / f'{name}.py'), *options]
-    subprocess.run([*command, '--json', str(file)], check=True, capture_output=True)
+    subprocess.run([*command, '--json', str(file)], check=True, capture_output=True, env=ros_domain)
     assert figures <= set(json.loads(file.read_text()))

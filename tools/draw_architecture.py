@@ -28,7 +28,7 @@ class Box:
         y: Centre.
         title: Name.
         text: What it does.
-        package: Package of the node, without `mixtac_`; empty for others.
+        package: Package of the node; empty for others.
         device: Hardware, drawn dashed.
     """
 
@@ -45,13 +45,13 @@ class Box:
 BOXES = {
     'camera': Box(1.5, 5.0, 'DAVIS346', 'or virtual_sensor,\nor a recording', device=True),
     'ft': Box(1.5, 1.0, 'force sensor', 'or virtual_sensor', device=True),
-    'driver': Box(5.6, 5.0, 'driver', 'USB, decoding,\n1 ms packets', 'driver'),
-    'fger': Box(10.0, 5.0, 'fger', '2 ms windows, frames,\nrecurrent network', 'fger'),
-    'alignment': Box(5.6, 1.0, 'alignment', 't_ref = a t_cam + b', 'alignment'),
-    'slip': Box(10.0, 3.0, 'slip_control', 'counts per 1 ms,\nadvance', 'slip_control'),
+    'driver': Box(5.6, 5.0, 'driver', 'USB, decoding,\n1 ms packets', 'mixtac_driver'),
+    'fger': Box(10.0, 5.0, 'fger', '2 ms windows, frames,\nrecurrent network', 'mixtac_fger'),
+    'alignment': Box(5.6, 1.0, 'alignment', 't_ref = a t_cam + b', 'mixtac_fger'),
+    'slip': Box(10.0, 3.0, 'slip_control', 'counts per 1 ms,\nadvance', 'mixtac_slip_control'),
     'arm': Box(14.2, 3.0, 'arm', 'trajectory controller', device=True),
     'user': Box(14.2, 5.0, 'your node', 'control, learning', device=True),
-    'view': Box(10.0, 1.0, 'view, recorder', 'everything, best effort', 'cli'),
+    'view': Box(10.0, 1.0, 'view, recorder', 'everything, best effort', 'mixtac'),
 }
 ARROWS = (
     ('camera', 'driver', 'USB words', PLAIN, 0.22),
@@ -95,7 +95,7 @@ def draw() -> None:
             axes.text(
                 box.x - box.width / 2,
                 box.y - box.height / 2 - 0.06,
-                f'mixtac_{box.package}',
+                box.package,
                 ha='left',
                 va='top',
                 size=6.5,

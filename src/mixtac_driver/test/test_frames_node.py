@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from mixtac_core.node.topics import CAMERA_FRAME, CONTACT_FRAME, IMU_FRAME, frame_id, frame_prefix
 from mixtac_driver.frames_node import DescriptionError, fingertip_urdf, fixed_frames
 
-URDF = Path(__file__).resolve().parents[1] / 'urdf' / 'fingertip.urdf.xacro'
+URDF = Path(__file__).resolve().parents[2] / 'mixtac_bringup' / 'urdf' / 'fingertip.urdf.xacro'
 
 
 def rotation(frame):

@@ -364,7 +364,7 @@ def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, known):
 def test_a_load_that_never_arrives_is_refused(monkeypatch):
     monkeypatch.setattr(session, 'POLL_S', 0.0)
     operated = Operated()
-    operated.trigger = lambda *_: None
+    operated.touch = lambda *_, **__: None
     live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
     with pytest.raises(ForceCalibrationError) as caught:
         live.lead(parse_loads('20,50', 1.0))

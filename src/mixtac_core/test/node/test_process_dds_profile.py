@@ -67,7 +67,7 @@ def test_the_range_of_discovery_decides(reach: str, name: str) -> None:
 
 
 def test_the_environment_of_a_clone_follows_the_range_as_well() -> None:
-    source = f'. {Path(__file__).resolve().parents[3]}/tools/env.sh'
+    source = f'. {Path(__file__).resolve().parents[4]}/tools/env.sh'
     show = f'echo ${FASTDDS_VARIABLES[0]}'
     script = f'{source}; export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET; {source}; {show};'
     script += f'export {FASTDDS_VARIABLES[0]}=/mine.xml; {source}; {show}'

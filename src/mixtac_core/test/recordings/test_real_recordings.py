@@ -20,7 +20,7 @@ from mixtac_core.recordings.importing import TableOptions, import_recording
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_core.recordings.summary import summarise
 
-DATA = Path(os.environ.get('MIXTAC_TEST_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
+DATA = Path(os.environ.get('MIXTAC_TEST_DATA', Path(__file__).parents[5] / 'shared' / 'data'))
 
 
 def data(name: str) -> Path:

@@ -272,7 +272,7 @@ def _alarms_before(record: LoopRecord, onset_us: float) -> int:
 
 def trial_piece(plan: TrialPlan) -> Piece:
     """Return a trial as a piece of work; its result has `course_mm`, too."""
-    packages = ('events', 'fger', 'recordings', 'sim', 'slip_control')
+    packages = ('core', 'fger', 'sim', 'slip_control')
     code = *(f'mixtac_{name}' for name in packages), 'mixtac_learning.experiments.slip_loop'
     files = (find_model(DEFAULT_MODEL),)
     return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), code, files)
