@@ -4,13 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -36,16 +33,6 @@ def make_table(
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
     return table
-
-
-@contextmanager
-def progress_bar(
-    title: str, total: int, console: Console | None = None
-) -> Iterator[Callable[[], None]]:
-    """Show a bar until the block ends; yield the function that moves it on by one step."""
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task(title, total=total)
-        yield lambda: progress.advance(bar)
 
 
 def new_figure(width_in: float, height_in: float, title: str = '') -> Figure:

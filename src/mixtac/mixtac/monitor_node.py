@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
@@ -22,10 +22,8 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
@@ -224,23 +222,6 @@ class Monitor(Receiver):
         reply = self._call(kind, service, request, alive)
         if not reply.success:
             raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
-
-    def set_parameters(
-        self, node: str, values: Mapping[str, object], alive: Callable[[], None]
-    ) -> None:
-        """Set parameters of a node of the sensor; before `listen` or while listening.
-
-        Raises:
-            GraphError: The node refuses.
-        """
-        request = SetParameters.Request()
-        request.parameters = [
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
-        service = f'{node}/set_parameters'
-        for result in self._call(SetParameters, service, request, alive).results:
-            if not result.successful:
-                raise GraphError(f'{topics.absolute(node, self._namespace)}: {result.reason}')
 
     def _call(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> Any:  # noqa: ANN401
         # One client for all calls: the answer to a new one can get lost while it is discovered.

@@ -10,17 +10,16 @@ response to a disturbance depend on the speed of the host.
 
 from __future__ import annotations
 
+import importlib.util
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 from rich.console import Console
 
-from mixtac.live_table import LiveTable
-from mixtac.monitor_node import Monitor
 from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
 from mixtac.view.page import require_rerun
 from mixtac_core.node.files import writable
@@ -35,6 +34,9 @@ from mixtac_core.node.graph import (
 )
 from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
+
+if TYPE_CHECKING:
+    from mixtac.monitor_node import Monitor
 
 POLL_S = 0.2
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
@@ -121,6 +123,11 @@ def up(
         path = find_model(model).resolve()
         read_model(path)
         estimator = {'model': str(path)}
+    if importlib.util.find_spec('rclpy') is None:
+        show_without_ros(device, model, seconds)
+        return
+    from mixtac.monitor_node import Monitor
+
     if view:
         require_rerun()
     play = play and is_virtual(device)
@@ -153,6 +160,29 @@ def up(
         run_until(processes, seconds)
 
 
+def show_without_ros(device: str, model: str, seconds: float) -> None:
+    """Show the force of a sensor in the terminal: without ROS nothing is published.
+
+    Args:
+        device: As of `up`. The virtual sensor is pressed again and again.
+        model: Weight file or name of a model; empty for the default.
+        seconds: How long from the first force on [s]; 0 shows it until interrupted.
+    """
+    from mixtac.sensor import USB, VIRTUAL, Sensor
+
+    console = Console(markup=False)
+    console.print('without ROS: forces are shown and not published; a first start compiles')
+    source = {'davis346': USB, VIRTUAL: f'{VIRTUAL}:press'}.get(device, device)
+    with Sensor(source, model=model) as sensor:
+        reading, end_s = sensor.read(), time.monotonic() + seconds
+        console.print('press Ctrl-C to stop')
+        while not seconds or time.monotonic() < end_s:
+            bar = '#' * round(20 * max(0.0, reading.force if reading.valid else 0.0))
+            console.print(f'{reading}  {bar}', soft_wrap=True, highlight=False)
+            time.sleep(POLL_S)
+            reading = sensor.read()
+
+
 def _await_estimate(monitor: Monitor, processes: ProcessGroup) -> None:
     """Wait until forces are estimated; without a known zero they are not published."""
 
@@ -167,6 +197,8 @@ def _show(
     console: Console, monitor: Monitor, processes: ProcessGroup, seconds: float, *, reference: bool
 ) -> None:
     """Show the force in the terminal for some seconds [s]; 0 shows it until interrupted."""
+    from mixtac.live_table import LiveTable
+
     end_s = time.monotonic() + seconds
 
     def doing() -> str:
@@ -256,6 +288,8 @@ def slip(
         ]
         start_nodes(processes, nodes)
         try:
+            from mixtac.monitor_node import Monitor
+
             with Monitor(DEFAULT_NAMESPACE, seconds=0.0) as monitor:
                 monitor.listen()
                 monitor.wait(

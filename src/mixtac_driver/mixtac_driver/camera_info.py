@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration of a camera as in `sensor_msgs/CameraInfo`, its files, and undistorted events.
 
-Files are YAML as camera_info_manager and `camera_calibration` write them. OpenCV evaluates the lens
-models.
+Files are YAML as camera_info_manager and `camera_calibration` write them. Calibrations of OpenCV
+(`%YAML:1.0`) and camchains of Kalibr are read as well. OpenCV evaluates the lens models.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ MODELS = {
     EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
 }
 """Names of the coefficients by distortion model."""
+KALIBR_MODELS = {'radtan': PLUMB_BOB, 'equidistant': EQUIDISTANT}
+"""Distortion model by its name in a camchain of Kalibr."""
 
 
 class CalibrationError(DriverError):
@@ -186,22 +188,51 @@ def parse_camera_info(text: str, name: str = 'camera') -> CameraCalibration:
     Raises:
         CalibrationError: As `read_camera_info`.
     """
+    # OpenCV writes a directive and tags that YAML does not know.
+    text = re.sub(r'^%YAML:1\.0\s*(---)?', '', text).replace('!!opencv-matrix', '')
     try:
         document = load_yaml(text)
     except FileError as error:
         raise CalibrationError(error.message, remedy='recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
+    if 'cam0' in document:
+        document = _of_kalibr(document['cam0'])
+    matrix = _matrix(document, 'camera_matrix', (3, 3))
+    coefficients = _matrix(document, 'distortion_coefficients').ravel()
+    model = str(document.get('distortion_model', RATIONAL if len(coefficients) == 8 else PLUMB_BOB))
+    if model == PLUMB_BOB and len(coefficients) == 4:
+        coefficients = np.append(coefficients, 0.0)
+    # Both may be absent: then nothing is rectified.
+    document.setdefault('rectification_matrix', _block(np.eye(3)))
+    document.setdefault('projection_matrix', _block(np.hstack([matrix, np.zeros((3, 1))])))
     return CameraCalibration(
         name=str(document.get('camera_name', name)),
         width=_whole(document, 'image_width'),
         height=_whole(document, 'image_height'),
-        model=str(document.get('distortion_model')),
-        distortion=_matrix(document, 'distortion_coefficients').ravel(),
-        camera_matrix=_matrix(document, 'camera_matrix', (3, 3)),
+        model=model,
+        distortion=coefficients,
+        camera_matrix=matrix,
         rectification=_matrix(document, 'rectification_matrix', (3, 3)),
         projection=_matrix(document, 'projection_matrix', (3, 4)),
     )
+
+
+def _of_kalibr(camera: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the first camera of a camchain with the keys of camera_info_manager."""
+    try:
+        fx, fy, cx, cy = camera['intrinsics']
+        width, height = camera['resolution']
+        model, coefficients = camera['distortion_model'], camera['distortion_coeffs']
+        return {
+            'distortion_model': KALIBR_MODELS.get(model, model),
+            'image_width': width,
+            'image_height': height,
+            'camera_matrix': _block(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
+            'distortion_coefficients': _block(np.array([coefficients])),
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f'cam0 of this camchain lacks {error}; recalibrate') from error
 
 
 def _whole(document: dict[str, Any], key: str) -> int:
@@ -224,6 +255,11 @@ def _matrix(document: dict[str, Any], key: str, shape: tuple[int, int] | None = 
     return found
 
 
+def _block(matrix: Floats) -> dict[str, Any]:
+    rows, columns = matrix.shape
+    return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
+
+
 def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str:
     """Return the text of a file.
 
@@ -231,20 +267,15 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
     """
-
-    def block(matrix: Floats) -> dict[str, Any]:
-        rows, columns = matrix.shape
-        return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
-
     document = {
         'image_width': calibration.width,
         'image_height': calibration.height,
         'camera_name': calibration.name,
-        'camera_matrix': block(calibration.camera_matrix),
+        'camera_matrix': _block(calibration.camera_matrix),
         'distortion_model': calibration.model,
-        'distortion_coefficients': block(calibration.distortion[None, :]),
-        'rectification_matrix': block(calibration.rectification),
-        'projection_matrix': block(calibration.projection),
+        'distortion_coefficients': _block(calibration.distortion[None, :]),
+        'rectification_matrix': _block(calibration.rectification),
+        'projection_matrix': _block(calibration.projection),
     }
     lines = [f'# {line}\n' for line in comment.splitlines()]
     return ''.join(lines) + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)

@@ -60,9 +60,9 @@ class DeviceParameters:
         recovery_give_up_after: Time without a stream after which the driver ends as with fail_stop;
             0: never
         camera_name: Name of the camera in its calibration: letters, digits and _
-        camerainfo_url: Calibration written by `mixtac calibrate`: file:///path or a path, where
-            ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty:
-            file://${ROS_HOME}/camera_info/${NAME}.yaml
+        camerainfo_url: Calibration written by `mixtac calibrate`: file:///path,
+            package://name/path or a path, where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros
+            unless set. Empty: file://${ROS_HOME}/camera_info/${NAME}.yaml
         undistort_events: Also publish events at undistorted pixels; needs a calibration
     """
 

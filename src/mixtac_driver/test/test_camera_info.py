@@ -50,6 +50,31 @@ projection_matrix:
   cols: 4
   data: [4827.94, 0, 1223.5, 0, 0, 4835.62, 1024.5, 0, 0, 0, 1, 0]
 """
+OPENCV = """%YAML:1.0
+---
+image_width: 346
+image_height: 260
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 200., 0., 173., 0., 201., 130., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 4
+   cols: 1
+   dt: d
+   data: [ -0.3, 0.1, 0., 0. ]
+avg_reprojection_error: 0.2
+"""
+KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.03, 0.01, -0.006, 0.001]
+  distortion_model: MODEL
+  intrinsics: [155.0, 155.6, 170.3, 133.1]
+  resolution: [346, 260]
+  rostopic: /davis/image_raw
+"""
 
 
 def calibration(model='equidistant', **other):
@@ -72,6 +97,22 @@ def test_a_file_of_camera_calibration_parsers_is_read():
     assert (camera.width, camera.height, camera.name) == (2448, 2050, 'prosilica')
     assert camera.distortion.tolist() == [-0.41527, 0.31874, -0.00197071, 7.13084e-05, 1e-05]
     assert camera.projection[1].tolist() == [0, 4835.62, 1024.5, 0]
+
+
+def test_a_file_of_opencv_is_read():
+    camera = parse_camera_info(OPENCV, 'left')
+    assert (camera.name, camera.size, camera.model) == ('left', (346, 260), 'plumb_bob')
+    assert camera.distortion.tolist() == [-0.3, 0.1, 0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(camera.projection[:, :3], camera.camera_matrix)
+
+
+@pytest.mark.parametrize(
+    ('theirs', 'ours', 'count'), [('radtan', 'plumb_bob', 5), ('equidistant', 'equidistant', 4)]
+)
+def test_a_camchain_of_kalibr_is_read(theirs, ours, count):
+    camera = parse_camera_info(KALIBR.replace('MODEL', theirs))
+    assert (camera.model, camera.size, len(camera.distortion)) == (ours, (346, 260), count)
+    assert camera.camera_matrix[0].tolist() == [155.0, 0.0, 170.3]
 
 
 @pytest.mark.parametrize('model', MODELS)

@@ -370,11 +370,6 @@ class FgerEstimator:
             self._touch = None if scale is None else TouchMeter(self.config, scale)
 
     @property
-    def vibrating(self) -> bool:
-        """Whether the force vibrates; see `Vibration`."""
-        return self._vibration.active
-
-    @property
     def shear(self) -> Shear | None:
         """Sideways force and torsion after the latest window; None where they are unknown."""
         return None if self._shear is None else self._shear.value

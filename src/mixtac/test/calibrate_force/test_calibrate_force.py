@@ -310,9 +310,6 @@ class Operated:
     def check(self):
         """Nothing fails."""
 
-    def set_parameters(self, _node, values, _check):
-        self.asked |= values
-
     def touch(self, gesture, _check, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
         assert (hold, pull_direction) == (0.0, 0.0)
         self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
