@@ -9,6 +9,7 @@ are kept on disk. Kernels that are not named here are compiled by the first proc
 from __future__ import annotations
 
 import importlib.util
+import multiprocessing
 import sys
 import tempfile
 from pathlib import Path
@@ -25,18 +26,31 @@ from mixtac_fger.weights import find_model, read_model
 
 
 def main() -> None:
-    """Run each kernel once."""
+    """Run each kernel once, in two processes beside each other."""
     with compiling('the packet codec'):
         codec.warm_up()
+    parts = [sense]
+    if importlib.util.find_spec('mixtac_sim') is not None:
+        parts.append(simulate)
+    spawning = multiprocessing.get_context('spawn')
+    processes = [spawning.Process(target=part) for part in parts]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    if any(process.exitcode for process in processes):
+        sys.exit('a kernel could not be compiled')
+    if '--tests' in sys.argv[1:]:
+        of_tests()
+
+
+def sense() -> None:
+    """Run decoder and estimator."""
     with compiling('the pixel mask'):
         pixels.warm_up()
     StreamDecoder(Geometry())
     with compiling(PICTURE_KERNELS):
         warm_up(open_estimator(read_model(find_model('fger_small'))))
-    if importlib.util.find_spec('mixtac_sim') is not None:
-        simulate()
-    if '--tests' in sys.argv[1:]:
-        of_tests()
 
 
 def simulate() -> None:

@@ -292,7 +292,7 @@ def compile_kernels(steps: Steps, *, at_once: bool) -> None:
         for path in (ROOT / 'src').rglob(kind):
             path.unlink()
     if at_once:
-        say('compiling: half a minute of one core, once')
+        say('compiling: half a minute, once')
         line = '. tools/env.sh && exec python tools/compile_kernels.py'
         call(['bash', '-c', line], 'the kernels could not be compiled')
     steps.finish('kernels', wanted)
