@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -132,3 +133,14 @@ def test_nothing_of_it_needs_ros():
     hidden = ('ament_index_python', 'builtin_interfaces', 'rclpy', 'sensor_msgs')
     code = f'import sys; sys.modules.update(dict.fromkeys({hidden})); import mixtac, mixtac.virtual'
     subprocess.run([sys.executable, '-c', code], check=True, timeout=120, cwd=Path('/'))
+
+
+@pytest.mark.live
+def test_up_shows_forces_without_ros():
+    hidden = ('ament_index_python', 'builtin_interfaces', 'rclpy', 'sensor_msgs')
+    words = ['up', '--device', 'virtual', '--seconds', '1']
+    code = f'import sys; sys.modules.update(dict.fromkeys({hidden}))\n'
+    code += f'from mixtac.main import main; sys.exit(main({words}))'
+    run = partial(subprocess.run, check=True, capture_output=True, text=True, cwd=Path('/'))
+    shown = run([sys.executable, '-c', code]).stdout
+    assert len([line for line in shown.splitlines() if ' N +- ' in line]) >= 2
