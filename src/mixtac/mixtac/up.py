@@ -164,7 +164,7 @@ def show_without_ros(device: str, model: str, seconds: float) -> None:
     """Show the force of a sensor in the terminal: without ROS nothing is published.
 
     Args:
-        device: As of `up`. The virtual sensor is pressed again and again.
+        device: The same values as `--device` of `up`. The virtual sensor is pressed repeatedly.
         model: Weight file or name of a model; empty for the default.
         seconds: How long from the first force on [s]; 0 shows it until interrupted.
     """

@@ -264,7 +264,8 @@ class Connection:
         """Raise if the camera left a request unanswered, in any thread.
 
         Raises:
-            NoAnswerError: It did. Whether it obeyed is not known, so open it again.
+            NoAnswerError: A request got no answer. The camera may or may not have executed it:
+                close the camera and open it again.
         """
         if self.protocol.failure is not None:
             raise self.protocol.failure

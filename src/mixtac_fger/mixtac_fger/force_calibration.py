@@ -325,7 +325,7 @@ def find_plateaus(t_s: F64, series: Series, count: int | None, kind: Kind = PRES
         t_s: Times, increasing [s].
         series: Estimates before the calibration [N].
         count: Number of loads; None where it is not known.
-        kind: Of the loads.
+        kind: Kind of the loads: presses or sideways pulls.
 
     Raises:
         ForceCalibrationError: A plateau cannot be used, or their number is not that of the loads.
@@ -522,7 +522,7 @@ def fit_gain(
 
     Args:
         loads: Known loads, one or more.
-        plateaus: Plateau of each.
+        plateaus: Plateau of the estimate for each load.
         kind: Of the loads.
 
     Raises:

@@ -66,7 +66,7 @@ def frame_weights(tensors: Tensors, config: FgerConfig) -> FrameWeights:
     """Return copies of the weights in the layout of the compiled step.
 
     Args:
-        tensors: Of a weight file, with the shapes of `mixtac_fger.config.tensor_shapes`.
+        tensors: Tensors of a weight file; shapes: `mixtac_fger.config.tensor_shapes`.
         config: Network configuration.
     """
     layers = [f'frame.convolutions.{2 * index}' for index in range(len(config.frame_widths))]

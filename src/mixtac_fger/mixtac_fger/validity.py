@@ -7,7 +7,7 @@ sensor shows by itself, so that neither its brightness, nor its contrast, nor it
 
 * **Picture.** A pressed gel is the gel of the reference, displaced. What is left after the
   reference has been displaced, less the noise from frame to frame, is a small part of the pattern,
-  and less than half of what has changed. The gel is bonded at its border, so that the whole
+  or less than half of what has changed. The gel is bonded at its border, so that the whole
   picture does not move.
 * **Events.** Where the change from one frame to the next, or the events between them, exceed their
   own noise, they correlate as those of one motion do: ON events where a pixel has become brighter.

@@ -338,11 +338,11 @@ class LaggingArm:
 
         Args:
             command: Commanded joint positions [7] [rad].
-            points: Number of places to return.
+            points: Number of positions to return.
 
         Returns:
-            Places of the fingertip along the normal, at the ends of as many equal parts of the
-            period [mm] from the start.
+            Positions of the fingertip along the normal, relative to the start [mm]: one at the end
+            of each of `points` equal parts of the period.
         """
         self.track(command)
         place_mm = 1e3 * float((flange_place(self._q) - self._start) @ self._normal)

@@ -54,7 +54,7 @@ def state_file(name: str) -> Path:
             this folder.
 
     Raises:
-        FileError: The name is not plain.
+        FileError: The name has other characters or is too long, or leaves this folder.
     """
     home = os.environ.get('MIXTAC_HOME')
     state = os.environ.get('XDG_STATE_HOME') or '~/.local/state'
