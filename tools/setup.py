@@ -18,6 +18,7 @@ import fcntl
 import importlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -180,7 +181,8 @@ def build_messages(venv: Path, steps: Steps) -> None:
     inputs = [path for folder in messages for path in folder.rglob('*') if path.is_file()]
     packages = sorted((ROOT / 'src').glob('mixtac*'))
     builder = ROOT / 'tools' / 'build_messages.py'
-    wanted = fingerprint([*inputs, builder], *map(str, packages))
+    nodes = sorted((ROOT / 'src').rglob('*_node.py'))
+    wanted = fingerprint([*inputs, builder], *map(str, packages + nodes))
     if steps.is_done('messages', wanted):
         return
     say('building the messages')
@@ -198,7 +200,21 @@ def build_messages(venv: Path, steps: Steps) -> None:
         if not share.exists():
             share.symlink_to(folder)
             (index / folder.name).touch()
+        write_executables(venv, folder)
     steps.finish('messages', wanted)
+
+
+def write_executables(venv: Path, package: Path) -> None:
+    """Write what `ros2 run` and `ros2 launch` start of a package, as colcon does."""
+    for path in package.glob(f'{package.name}/**/*_node.py'):
+        if not re.search(r'^(def )?main\b', path.read_text(), re.MULTILINE):
+            continue  # a node inside of commands
+        module = '.'.join(path.relative_to(package).with_suffix('').parts)
+        script = venv / 'lib' / package.name / path.stem
+        script.parent.mkdir(exist_ok=True)
+        lines = [f'#!{venv}/bin/python', 'import sys', f'from {module} import main']
+        script.write_text('\n'.join([*lines, 'sys.exit(main())', '']))
+        script.chmod(0o755)
 
 
 def workspace_inputs() -> list[Path]:
