@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import faulthandler
+import gc
 import os
 import signal
 import sys
@@ -322,6 +323,8 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
                 node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+        # What was frozen is not collected: extension modules would report it as leaked.
+        gc.unfreeze()
     return 0
 
 
