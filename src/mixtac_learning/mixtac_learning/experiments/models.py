@@ -259,9 +259,7 @@ def _cell(value: dict[str, float] | None) -> str:
 
 
 def models(
-    seeds: Annotated[
-        int, typer.Option(min=1, help='Number of trainings per model, each with another seed.')
-    ] = 3,
+    seeds: Annotated[int, typer.Option(min=1, help='Trainings per model, with as many seeds.')] = 3,
     model: Annotated[
         OptionalStrings, typer.Option(help='Only this model; may be given more than once.')
     ] = None,
