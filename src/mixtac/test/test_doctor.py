@@ -97,12 +97,13 @@ def test_a_named_virtual_sensor_that_does_not_run_is_an_error(tmp_path):
         assert (finding.level, 'virtual_sensor_node' in finding.remedy) == (Level.ERROR, True)
 
 
+@pytest.mark.live
 def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     # Where nobody serves a virtual sensor.
     monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
     raw = RawData()
-    sections = dict(doctor.examine(DriverParameters(device='virtual'), 1.0, raw=raw))
+    sections = dict(doctor.examine(DriverParameters(device='virtual'), 3.0, raw=raw))
     assert [found.level for found in sections['camera']] == [Level.OK]
     measured = sections['measured']
     names = [f.name for f in measured]
