@@ -111,7 +111,8 @@ def import_(
         typer.Option(help='Unit of the times of forces where the file states none; empty: s.'),
     ] = '',
     size: Annotated[
-        str, typer.Option(help='Size of the camera, for example 346x260; empty: by its frames.')
+        str,
+        typer.Option(help='Width x height of the camera [px], as 346x260; empty: as its frames.'),
     ] = '',
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')

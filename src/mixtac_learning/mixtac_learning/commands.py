@@ -29,7 +29,7 @@ OptionalStr = Optional[str]  # noqa: UP045
 OptionalInt = Optional[int]  # noqa: UP045
 ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
 Preset = Annotated[
-    str, typer.Option('--preset', help='Difficulty: easy, paper_like, hard or varied.')
+    str, typer.Option('--preset', help='Difficulty of sensors: easy, paper_like, hard or varied.')
 ]
 ReferenceTopic = Annotated[
     str, typer.Option('--reference', help='Topic of the reference force in the bags.')
