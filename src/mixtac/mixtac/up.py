@@ -251,6 +251,8 @@ def slip(
     ] = Path('slip.png'),
 ) -> None:
     """Hold a simulated object against disturbances with the real driver and slip control."""
+    from mixtac.monitor_node import Monitor
+
     simulated = {'use_sim_time': True}
     with tempfile.TemporaryDirectory(prefix='mixtac-') as folder, ProcessGroup() as processes:
         socket = Path(folder) / 'usb.sock'
@@ -288,8 +290,6 @@ def slip(
         ]
         start_nodes(processes, nodes)
         try:
-            from mixtac.monitor_node import Monitor
-
             with Monitor(DEFAULT_NAMESPACE, seconds=0.0) as monitor:
                 monitor.listen()
                 monitor.wait(

@@ -118,8 +118,11 @@ class DisplacementField:
 
 
 @njit(cache=True, nogil=True)
-def _moved(image: F32, flow: F32, out: F32) -> None:
-    """Write an image displaced by a flow [2, rows, columns]; the border repeats."""
+def displaced(image: F32, flow: F32, out: F32) -> None:
+    """Write an image displaced by a flow [bins], float32 [2, rows, columns]: bilinear.
+
+    The border repeats.
+    """
     rows, columns = image.shape
     for row in range(rows):
         for column in range(columns):
@@ -140,13 +143,13 @@ def _measure(
     rows, columns = image.shape
     flow[:] = 0.0
     for _ in range(STEPS):
-        _moved(reference, flow, tensor[3])
+        displaced(reference, flow, tensor[3])
         displacement(tensor[3], image, np.int64(RADIUS), RIDGE, work, step)
         for axis in range(2):
             for row in range(rows):
                 for column in range(columns):
                     flow[axis, row, column] += step[axis, row, column]
-    _moved(reference, flow, tensor[3])
+    displaced(reference, flow, tensor[3])
     gradients(tensor[3], np.int64(1), work[5], work[6])
     square = 0.0
     for row in range(rows):

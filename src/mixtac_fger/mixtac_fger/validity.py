@@ -30,6 +30,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
+from mixtac_fger.displacement import displaced
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -136,21 +137,6 @@ def tile_moments(a: F32, b: F32, out: F64) -> None:
         out[0, tile], out[1, tile] = x, y
         out[2, tile], out[3, tile] = xx / count - x * x, yy / count - y * y
         out[4, tile] = xy / count - x * y
-
-
-@njit(cache=True, nogil=True)
-def displaced(reference: F32, flow: F32, out: F32) -> None:
-    """Write a picture displaced by a flow [px], float32 [2, rows, columns]; bilinear."""
-    rows, columns = reference.shape
-    for row in range(rows):
-        for column in range(columns):
-            x = min(max(column - flow[0, row, column], np.float32(0.0)), np.float32(columns - 1))
-            y = min(max(row - flow[1, row, column], np.float32(0.0)), np.float32(rows - 1))
-            left, top = min(int(x), columns - 2), min(int(y), rows - 2)
-            p, q = x - left, y - top
-            above = (1 - p) * reference[top, left] + p * reference[top, left + 1]
-            below = (1 - p) * reference[top + 1, left] + p * reference[top + 1, left + 1]
-            out[row, column] = (1 - q) * above + q * below
 
 
 @njit(cache=True, nogil=True)
