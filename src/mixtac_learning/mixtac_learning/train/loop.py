@@ -55,8 +55,9 @@ class Processes:
         return Processes(dist.get_rank(), world)
 
     def leave(self) -> None:
-        """Leave the group."""
+        """Leave the group, all at once: a process whose peers are gone may be aborted."""
         if self.world > 1 and dist.is_initialized():
+            dist.barrier()
             dist.destroy_process_group()
 
     @property
