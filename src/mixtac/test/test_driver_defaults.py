@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated bags have the defaults of the driver, which the simulator cannot import."""
 
-from mixtac_core.events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US
+from mixtac_core.events.packetizer import PACKET_BYTES, PACKET_PERIOD_US
 from mixtac_core.node.topics import CAMERA_FRAME, CONTACT_FRAME, IMU_FRAME, REFERENCE_FRAME
 from mixtac_driver.parameters import DriverParameters
 from mixtac_sim.parameters import VirtualSensorParameters
@@ -11,7 +11,6 @@ from mixtac_sim.usb.words import ImuSettings
 
 def test_simulated_bags_use_the_defaults_of_the_driver():
     p = DriverParameters()
-    assert p.encoding == ENCODING
     assert round(1e6 * p.event_message_time_threshold) == PACKET_PERIOD_US
     assert p.event_message_size_threshold == PACKET_BYTES
     assert (p.camera_frame_id, p.imu_frame_id) == (CAMERA_FRAME, IMU_FRAME)

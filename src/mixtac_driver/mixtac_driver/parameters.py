@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from mixtac_core.events.codec import ENCODINGS
 from mixtac_core.node.parameters import fixed, parameter
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import ConfigurationError
@@ -42,7 +41,6 @@ class DeviceParameters:
         device: Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for
             the virtual sensor, or the path of a recording (an AEDAT4 file, a bag folder or file)
         serial: Serial number of the camera. Empty: the only one attached
-        encoding: Encoding of event packets
         event_message_time_threshold: Longest time that an event packet spans
         event_message_size_threshold: Largest payload of an event packet
         camera_frame_id: Frame of events and images
@@ -68,7 +66,6 @@ class DeviceParameters:
 
     device: str = fixed('davis346')
     serial: str = fixed('')
-    encoding: str = fixed('libcaer_cmp', choices=ENCODINGS)
     event_message_time_threshold: float = fixed(1e-3, unit='s', within=(1e-4, 0.1))
     event_message_size_threshold: int = fixed(300_000, unit='bytes', within=(1000, 100_000_000))
     camera_frame_id: str = fixed('camera')

@@ -161,7 +161,7 @@ def test_the_camera_is_the_recorded_one(tmp_path):
 def test_its_last_packet_is_not_held_back(bag):
     source = source_of(bag)
     source.start()
-    packetizer, packets = Packetizer('libcaer_cmp', 100_000, 1 << 20), []
+    packetizer, packets = Packetizer(100_000, 1 << 20), []
     for batch in until_end(source):
         events = batch.decoded.events.shifted(batch.origin.us)
         packets += packetizer.push(events, batch.time_us, batch.arrival_ns)

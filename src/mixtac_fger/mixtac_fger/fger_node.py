@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from mixtac_core.events.codec import warm_up as warm_up_codec
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import PICTURE_KERNELS
-from mixtac_core.events.packets import CodecError, OwnPacket, read_packet
+from mixtac_core.events.packets import CodecError, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
@@ -295,13 +295,12 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if feed is not None and self._reference is not None:
             feed.estimator.use_reference(self._reference)
 
-    def _on_events(self, message: bytes | OwnPacket) -> None:
-        """Take a packet: bytes from the middleware, a packet from within the process."""
+    def _on_events(self, message: bytes) -> None:
         feed = self._feed
         if feed is None or self._misfit:
             return
         try:
-            packet = read_packet(message) if isinstance(message, bytes) else message
+            packet = read_packet(message)
         except CodecError as error:
             feed.refuse(str(error))
             return

@@ -12,7 +12,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from mixtac_core.events.codec import PacketMessage, decode_message
-from mixtac_core.events.packets import CodecError, OwnPacket
+from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
 from mixtac_core.node.images import ImageConversionError, decompress_grey, grey
@@ -152,7 +152,7 @@ class LiveFeed:
         self._rate = RateMeter()
         self._durations, self._ages = RecentValues(), RecentValues()
 
-    def packet(self, message: PacketMessage | OwnPacket) -> list[Estimate]:
+    def packet(self, message: PacketMessage) -> list[Estimate]:
         """Take an event packet and return the forces of the windows that it closes."""
         started = time.perf_counter()
         repeated = self._sequence.repeated
@@ -247,7 +247,7 @@ class LiveFeed:
         """End the estimator's thread."""
         self.estimator.close()
 
-    def _decoded(self, message: PacketMessage | OwnPacket) -> DecodedPacket:
+    def _decoded(self, message: PacketMessage) -> DecodedPacket:
         size, wanted = (message.width, message.height), self.estimator.size
         if size != wanted:
             raise ImageError(

@@ -25,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 from mixtac_core.events.codec import decode_message, warm_up
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import PICTURE_KERNELS
-from mixtac_core.events.packets import CodecError, OwnPacket, read_packet
+from mixtac_core.events.packets import CodecError, read_packet
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
@@ -194,10 +194,9 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
 
-    def _on_events(self, data: bytes | OwnPacket) -> None:
-        """Process a packet: bytes from the middleware, a packet from within the process."""
+    def _on_events(self, data: bytes) -> None:
         try:
-            message = read_packet(data) if isinstance(data, bytes) else data
+            message = read_packet(data)
             packet = decode_message(message)
         except CodecError as error:
             self._refuse(str(error))

@@ -29,7 +29,7 @@ def events(*found: tuple[int, int, bool]) -> Events:
 
 
 def packet(*found: tuple[int, int, bool], width: int = 8, height: int = 6) -> SimpleNamespace:
-    encoded = encode(events(*found), 'libcaer_cmp')
+    encoded = encode(events(*found))
     return SimpleNamespace(
         width=width,
         height=height,

@@ -31,6 +31,7 @@ STEP_US = 10_000.0
 """A pair this far below the line [us], or `STEP_BUCKETS` buckets in a row this far above it, means
 that one of the clocks was set."""
 STEP_BUCKETS = 3
+"""Buckets in a row, see `STEP_US`."""
 
 
 class _Point(NamedTuple):
@@ -67,25 +68,23 @@ class ClockEstimate:
 
 
 class ClockMap:
-    """A running map from the camera's clock [us] to the host's [ns since the Unix epoch]."""
+    """A running map from the camera's clock [us] to the host's [ns since the Unix epoch].
+
+    Attributes:
+        ready: Whether there is a pair yet.
+    """
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
         """Discard all pairs, as after a reset of the camera's clock."""
-        self._origin: tuple[int, int] | None = None
+        self.ready = False
+        self._origin_us = self._origin_ns = 0
         self._buckets: deque[_Point] = deque(maxlen=BUCKETS)
         self._current: _Point | None = None
-        self._bucket = 0
-        self._pairs = 0
-        self._late_buckets = self._steps = 0
-        self._line = (0.0, 0.0, 0.0)
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a pair yet."""
-        return self._origin is not None
+        self._bucket = self._pairs = self._late_buckets = self._steps = 0
+        self._middle = self._level = self._slope = 0.0
 
     def add(self, camera_us: int, host_ns: int) -> None:
         """Add a pair.
@@ -94,9 +93,11 @@ class ClockMap:
             camera_us: Camera time of the newest data of a transfer; does not decrease.
             host_ns: Host time of its arrival.
         """
-        if self._origin is None:
-            self._origin = (camera_us, host_ns)
-        point = self._relative(camera_us, host_ns)
+        if not self.ready:
+            self.ready = True
+            self._origin_us, self._origin_ns = camera_us, host_ns
+        t = float(camera_us - self._origin_us)
+        point = _Point(t, (host_ns - self._origin_ns) / 1000 - t)
         excess = self._excess(point)
         if self._pairs and excess < -STEP_US:
             self._step(camera_us, host_ns)
@@ -110,43 +111,31 @@ class ClockMap:
 
     def to_host_ns(self, camera_us: int) -> int:
         """Return the host time [ns] of a camera time [us]; needs `ready`."""
-        origin_us, origin_ns = self._origin or (0, 0)
-        t = camera_us - origin_us
-        return origin_ns + t * 1000 + round(self._value(float(t)) * 1000)
+        t = camera_us - self._origin_us
+        delay_us = self._level + self._slope * (float(t) - self._middle)
+        return self._origin_ns + t * 1000 + round(delay_us * 1000)
 
     def to_camera_us(self, host_ns: int) -> int:
         """Return the camera time [us] of a host time [ns]; needs `ready`."""
-        origin_us, origin_ns = self._origin or (0, 0)
-        elapsed = (host_ns - origin_ns) / 1000
-        middle, level, slope = self._line
-        return origin_us + round((elapsed - level + slope * middle) / (1 + slope))
+        elapsed = (host_ns - self._origin_ns) / 1000
+        at = (elapsed - self._level + self._slope * self._middle) / (1 + self._slope)
+        return self._origin_us + round(at)
 
     def estimate(self) -> ClockEstimate:
         """Return the figures of the map; needs `ready`."""
-        origin_us, origin_ns = self._origin or (0, 0)
         points = self._points()
         above = np.array([self._excess(p) for p in points] or [0.0])
-        _, level, slope = self._line
         return ClockEstimate(
-            offset_us=origin_ns / 1000 - origin_us + level,
-            skew_ppm=slope * 1e6,
+            offset_us=self._origin_ns / 1000 - self._origin_us + self._level,
+            skew_ppm=self._slope * 1e6,
             residual_us=float(np.sqrt(np.mean(above**2))),
             span_s=(points[-1].t - points[0].t) / 1e6 if points else 0.0,
             pairs=self._pairs,
             steps=self._steps,
         )
 
-    def _relative(self, camera_us: int, host_ns: int) -> _Point:
-        origin_us, origin_ns = self._origin or (0, 0)
-        t = camera_us - origin_us
-        return _Point(float(t), (host_ns - origin_ns) / 1000 - t)
-
-    def _value(self, t: float) -> float:
-        middle, level, slope = self._line
-        return level + slope * (t - middle)
-
     def _excess(self, point: _Point) -> float:
-        return point.delay - self._value(point.t)
+        return point.delay - (self._level + self._slope * (point.t - self._middle))
 
     def _points(self) -> list[_Point]:
         return [*self._buckets, *([self._current] if self._current else [])]
@@ -171,26 +160,25 @@ class ClockMap:
 
     def _fit(self) -> None:
         points = self._points()
-        middle = sum(p.t for p in points) / len(points)
+        self._middle = sum(p.t for p in points) / len(points)
         slope = 0.0
         if points[-1].t - points[0].t >= SKEW_AFTER_US:
-            slope = min(max(_slope_below(points, middle), -MOST_SKEW), MOST_SKEW)
-        level = min(p.delay - slope * (p.t - middle) for p in points)
-        self._line = (middle, level, slope)
+            slope = min(max(_slope_below(points, self._middle), -MOST_SKEW), MOST_SKEW)
+        self._slope = slope
+        self._level = min(p.delay - slope * (p.t - self._middle) for p in points)
 
 
 def _slope_below(points: list[_Point], middle: float) -> float:
     """Return the slope of the edge of the lower hull over `middle`; `points` are sorted."""
     hull: list[_Point] = []
     for point in points:
-        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
+        while len(hull) > 1:
+            (a_t, a_delay), (b_t, b_delay) = hull[-2:]
+            if (b_delay - a_delay) * (point.t - a_t) < (point.delay - a_delay) * (b_t - a_t):
+                break
             hull.pop()
         hull.append(point)
     for left, right in pairwise(hull):
         if right.t >= middle:
             return (right.delay - left.delay) / (right.t - left.t)
     return 0.0
-
-
-def _turns_down(a: _Point, b: _Point, c: _Point) -> bool:
-    return (b.delay - a.delay) * (c.t - a.t) >= (c.delay - a.delay) * (b.t - a.t)

@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Encoding and decoding of event packets, by the name of the encoding.
+"""Encoding and decoding of event packets.
 
-Packets are independent of each other, so that a lost packet costs its own events only.
+Packets of `libcaer_cmp` and `libcaer` are independent of each other, so that a lost packet costs
+its own events only.
 """
 
 from __future__ import annotations
@@ -13,30 +14,14 @@ from typing import Final, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_core.events import foreign, libcaer, libcaer_cmp
+from mixtac_core.events import foreign, libcaer_cmp
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packets import CodecError, DecodedPacket, EncodedPacket, OwnPacket
+from mixtac_core.events.packets import LIBCAER_CMP, CodecError, DecodedPacket, EncodedPacket
 
 # In quotes: Python 3.11 cannot subscript array.
 Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
-
-
-class Codec(Protocol):
-    """Interface of the codec modules; neither function is called for an empty packet."""
-
-    def encode(self, events: Events, complete_until: int | None = None) -> EncodedPacket:
-        """Encode events on the camera clock."""
-
-    def decode(
-        self, payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
-    ) -> DecodedPacket:
-        """Decode a payload of whole bytes."""
-
-
-_CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
-ENCODINGS = tuple(_CODECS)
-"""Names of the encodings, the preferred one first."""
-READABLE = (*ENCODINGS, foreign.EVT3)
+_DECODERS = {LIBCAER_CMP: libcaer_cmp.decode, foreign.LIBCAER: foreign.decode_libcaer}
+READABLE = (*_DECODERS, foreign.EVT3)
 """Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
@@ -60,27 +45,27 @@ class PacketMessage(Protocol):
         """Encoded bytes."""
 
 
-def encode(
-    events: Events, encoding: str = libcaer_cmp.NAME, *, complete_until: int | None = None
-) -> EncodedPacket:
-    """Encode events as one packet.
+def encode(events: Events, *, complete_until: int | None = None) -> EncodedPacket:
+    """Encode events as one packet of `libcaer_cmp`.
 
     Args:
         events: Events on the camera clock [us], not negative, times not decreasing; may be empty.
-        encoding: One of `ENCODINGS`.
         complete_until: Camera clock [us]: no event before this time will follow. None: the time
-            of the last event. `libcaer` can carry it in empty packets only.
+            of the last event.
 
     Returns:
         The packet. Without events it has no payload and its `time_base` is `complete_until`.
 
     Raises:
-        CodecError: Unknown encoding, events it cannot carry, an empty packet without
-            `complete_until`, or a `complete_until` before the last event.
+        CodecError: Events that it cannot carry, an empty packet without `complete_until`, or a
+            `complete_until` before the last event.
     """
-    codec = _codec(encoding)
     if len(events) == 0:
-        return EncodedPacket(encoding, _empty_time(complete_until) * 1000, np.empty(0, np.uint8))
+        if complete_until is None or complete_until < 0:
+            raise CodecError(
+                f'an empty packet needs complete_until [us] >= 0, got {complete_until}'
+            )
+        return EncodedPacket(int(complete_until) * 1000, np.empty(0, np.uint8))
     if events.t[0] < 0:
         raise CodecError(
             f'first event is at {events.t[0]} us: packets hold times after the epoch; add the '
@@ -91,22 +76,24 @@ def encode(
             f'complete_until = {complete_until} us lies before the last event at '
             f'{events.t[-1]} us: give the later of both'
         )
-    return codec.encode(_contiguous(events), complete_until)
+    # The encoder is compiled for one memory layout.
+    contiguous = Events(
+        np.ascontiguousarray(events.t, np.int64),
+        np.ascontiguousarray(events.x, np.uint16),
+        np.ascontiguousarray(events.y, np.uint16),
+        np.ascontiguousarray(events.polarity, np.bool_),
+    )
+    return libcaer_cmp.encode(contiguous, complete_until)
 
 
 def decode(
-    payload: Payload,
-    encoding: str,
-    time_base: int,
-    *,
-    width: int,
-    height: int,
+    payload: Payload, encoding: str, time_base: int, *, width: int, height: int
 ) -> DecodedPacket:
     """Decode one packet.
 
     Args:
         payload: Encoded bytes: anything with a buffer, for example the field `events` of a message.
-        encoding: One of `ENCODINGS`.
+        encoding: `libcaer_cmp` or `libcaer`.
         time_base: Field of the same name, camera clock [ns].
         width: Columns of the sensor; events outside are an error.
         height: Rows of the sensor.
@@ -115,10 +102,14 @@ def decode(
         Events on the camera clock, sub-microsecond part of `time_base` discarded.
 
     Raises:
-        CodecError: Unknown encoding, truncated or damaged payload, an event outside the sensor, or
-            a `time_base` that is negative or too large.
+        CodecError: Another encoding, truncated or damaged payload, an event outside the sensor,
+            or a `time_base` that is negative or too large.
     """
-    codec = _codec(encoding)
+    if encoding not in _DECODERS:
+        raise CodecError(
+            f'unknown encoding {encoding!r}: known are {", ".join(_DECODERS)};'
+            f' {foreign.EVT3} is read from recordings only'
+        )
     start_us = int(time_base) // 1000
     if not 0 <= time_base < MAX_TIME_BASE:
         raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
@@ -126,11 +117,11 @@ def decode(
     data = np.frombuffer(payload, np.uint8).copy()
     if data.size == 0:
         return DecodedPacket(Events.empty(), start_us)
-    return codec.decode(data, start_us, width=int(width), height=int(height))
+    return _DECODERS[encoding](data, start_us, width=int(width), height=int(height))
 
 
-def decode_message(message: PacketMessage | OwnPacket) -> DecodedPacket:
-    """Decode an `event_camera_msgs/EventPacket`, or return what another packet holds.
+def decode_message(message: PacketMessage) -> DecodedPacket:
+    """Decode an `event_camera_msgs/EventPacket`.
 
     Args:
         message: The message; its own width and height bound the coordinates.
@@ -138,19 +129,10 @@ def decode_message(message: PacketMessage | OwnPacket) -> DecodedPacket:
     Raises:
         CodecError: As `decode`, and for big-endian payloads and packets over `MAX_SPAN_US`.
     """
-    if isinstance(message, OwnPacket):
-        return message.content
     if message.is_bigendian:
         raise CodecError('event packet is big-endian: record or publish it little-endian')
-    return _bounded(
-        decode(
-            message.events,
-            message.encoding,
-            message.time_base,
-            width=message.width,
-            height=message.height,
-        )
-    )
+    size = {'width': message.width, 'height': message.height}
+    return _bounded(decode(message.events, message.encoding, message.time_base, **size))
 
 
 class StreamDecoder:
@@ -194,36 +176,9 @@ def _bounded(packet: DecodedPacket) -> DecodedPacket:
 
 
 def warm_up() -> None:
-    """Compile (or load) all encoders and decoders, so that the first packet is not late."""
+    """Compile (or load) encoder and decoder, so that the first packet is not late."""
     one = Events(
         np.zeros(1, np.int64), np.zeros(1, np.uint16), np.zeros(1, np.uint16), np.ones(1, np.bool_)
     )
-    for encoding in ENCODINGS:
-        packet = encode(one, encoding, complete_until=1)
-        decode(packet.payload, encoding, packet.time_base, width=1, height=1)
-
-
-def _codec(encoding: str) -> Codec:
-    try:
-        return _CODECS[encoding]
-    except KeyError:
-        raise CodecError(
-            f'unknown encoding {encoding!r}: known are {", ".join(ENCODINGS)};'
-            f' {foreign.EVT3} is read from recordings only'
-        ) from None
-
-
-def _empty_time(complete_until: int | None) -> int:
-    if complete_until is None or complete_until < 0:
-        raise CodecError(f'an empty packet needs complete_until [us] >= 0, got {complete_until}')
-    return int(complete_until)
-
-
-def _contiguous(events: Events) -> Events:
-    """Return the events in the one memory layout that the encoders are compiled for."""
-    return Events(
-        np.ascontiguousarray(events.t, np.int64),
-        np.ascontiguousarray(events.x, np.uint16),
-        np.ascontiguousarray(events.y, np.uint16),
-        np.ascontiguousarray(events.polarity, np.bool_),
-    )
+    packet = encode(one, complete_until=1)
+    decode(packet.payload, packet.encoding, packet.time_base, width=1, height=1)

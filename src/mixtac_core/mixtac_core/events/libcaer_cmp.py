@@ -53,8 +53,7 @@ UNSORTED: Final = -1
 TOO_LONG: Final = -2
 OUTSIDE: Final = -3
 UNKNOWN_CODE: Final = -4
-NO_COLUMN: Final = -5
-NO_BASE: Final = -6
+NO_START: Final = -5
 
 
 @njit(cache=True, nogil=True)
@@ -172,11 +171,11 @@ def count_events(words: Words) -> tuple[int, int]:
         code = words[i] >> 12
         if code == 3:
             if not column:
-                return NO_COLUMN, i
+                return NO_START, i
             count += 1
         elif code == 5:
             if not (base and column):
-                return (NO_BASE if column else NO_COLUMN), i
+                return NO_START, i
             for bit in range(8):
                 count += (words[i] >> bit) & 1
         elif code > 5:
@@ -244,9 +243,6 @@ def _decode_vector(word: int, n: int, columns_left: int, rows_left: int, y: Word
     return n
 
 
-NAME: Final = 'libcaer_cmp'
-
-
 def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
     """Encode events; see `mixtac_core.events.codec.encode`.
 
@@ -263,7 +259,7 @@ def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
     used, at = encode_words(events.t, events.x, events.y, events.polarity, end, words)
     if used < 0:
         raise _encode_error(used, events, at, end)
-    return EncodedPacket(NAME, start * 1000, words[:used].view(np.uint8).copy())
+    return EncodedPacket(start * 1000, words[:used].view(np.uint8).copy())
 
 
 def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
@@ -280,7 +276,7 @@ def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
         )
     return CodecError(
         f'event {at} lies at ({events.x[at]}, {events.y[at]}); libcaer_cmp holds coordinates up to '
-        f'{MAX_COORDINATE}: use the encoding libcaer for larger sensors'
+        f'{MAX_COORDINATE}'
     )
 
 
@@ -321,10 +317,8 @@ def _decode_error(
         return CodecError(
             f'{where} has unknown code {words[at] >> 12}: not libcaer_cmp, or damaged'
         )
-    if fault == NO_COLUMN:
-        return CodecError(f'{where} is an event before any column word: the packet lost its start')
-    if fault == NO_BASE:
-        return CodecError(f'{where} is a vector before any base word: the packet lost its start')
+    if fault == NO_START:
+        return CodecError(f'{where} is an event without column or row: the packet lost its start')
     return CodecError(
         f'{where} is an event outside the sensor of {width} x {height}: give the width and height '
         'of the camera that made the packet'

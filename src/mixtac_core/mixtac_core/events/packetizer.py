@@ -18,63 +18,12 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.events.packets import EncodedPacket
 
-
-class _Pending:
-    """Buffer of events not yet packed, in reused arrays.
-
-    Args:
-        capacity: Initial capacity [events].
-    """
-
-    def __init__(self, capacity: int = 4096) -> None:
-        self._count = 0
-        self._arrays = Events.empty(capacity)
-
-    def __len__(self) -> int:
-        """Return the number of events."""
-        return self._count
-
-    @property
-    def events(self) -> Events:
-        """The events, as views that are valid until the next call of `append` or `drop`."""
-        return self._arrays[: self._count]
-
-    def append(self, events: Events) -> None:
-        """Copy events to the end."""
-        count = len(events)
-        if not count:
-            return
-        if self._count + count > len(self._arrays):
-            waiting = self.events
-            self._arrays = Events.empty(2 * (self._count + count))
-            self._copy(waiting, 0)
-        start = self._count
-        self._copy(events, start)
-        self._count = start + count
-
-    def drop(self, count: int) -> None:
-        """Remove the first events."""
-        rest = self._arrays[count : self._count]
-        self._count -= count
-        # NumPy handles overlapping copies.
-        self._copy(rest, 0)
-
-    def _copy(self, events: Events, start: int) -> None:
-        end = start + len(events)
-        self._arrays.t[start:end] = events.t
-        self._arrays.x[start:end] = events.x
-        self._arrays.y[start:end] = events.y
-        self._arrays.polarity[start:end] = events.polarity
-
-
-ENCODING = 'libcaer_cmp'
-"""Default encoding of the driver."""
 PACKET_PERIOD_US = 1_000
 """Default grid of the driver's packets [us]."""
 PACKET_BYTES = 300_000
 """Default limit of the payload of the driver's packets [bytes]."""
 MOST_BYTES_PER_EVENT = 8
-"""Upper bound for both encodings: 4 words in `libcaer_cmp`, 8 bytes in `libcaer`."""
+"""Longest coding of an event in `libcaer_cmp` [bytes]: four words."""
 LONGEST_ANNOUNCEMENT_US = 1 << 23
 """Times in `libcaer_cmp` are relative to the first event and end after 2^24 us."""
 
@@ -84,70 +33,62 @@ class Packet:
     """One packet.
 
     Attributes:
-        encoding: Name of the encoding.
         arrival_ns: Host time at which the first transfer in it arrived [ns since the Unix epoch].
-        events: Its events, as views that are valid until the next push.
+        events: Its events.
         complete_until_us: Camera time before which no further event will follow.
     """
 
-    encoding: str
     arrival_ns: int
     events: Events
     complete_until_us: int
 
     def encode(self) -> EncodedPacket:
-        """Return encoding, time base and payload."""
-        return encode(self.events, self.encoding, complete_until=self.complete_until_us)
+        """Return time base and payload."""
+        return encode(self.events, complete_until=self.complete_until_us)
 
 
 class Packetizer:
     """Cuts a stream of events into packets.
 
     Args:
-        encoding: One of `mixtac_core.events.codec.ENCODINGS`.
         period_us: Grid of camera time [us]; events of a packet span at most this much.
         most_bytes: Longest payload [bytes].
     """
 
-    def __init__(self, encoding: str, period_us: int, most_bytes: int) -> None:
-        self._encoding = encoding
+    def __init__(self, period_us: int = PACKET_PERIOD_US, most_bytes: int = PACKET_BYTES) -> None:
         self._period_us = period_us
         self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
-        self._pending = _Pending()
-        self._taken = self._pending_arrival_ns = 0
+        self._pending = Events.empty()
+        self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
     def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
         """Add events and return the packets that are complete.
 
         Args:
-            events: Events on the camera clock [us], sorted, not before those added earlier.
+            events: Events on the camera clock [us], sorted, not before those added earlier. They
+                are copied.
             time_us: Camera time that the stream has reached; no later event is before it.
             arrival_ns: Host time of their arrival.
         """
-        if self._taken:
-            # Only now: packets are views.
-            self._pending.drop(self._taken)
-            self._taken = 0
         held = len(self._pending)
         if not held:
             self._pending_arrival_ns = arrival_ns
-        self._pending.append(events)
+        self._pending = pending = Events.concatenate([self._pending, events])
         closed_us = time_us // self._period_us * self._period_us
         if self._complete_us is None:
-            self._complete_us = min(closed_us, self._first_us(closed_us))
-        if closed_us <= self._complete_us and len(self._pending) < self._most_events:
+            first_us = int(pending.t[0]) if len(pending) else closed_us
+            self._complete_us = min(closed_us, first_us)
+        if closed_us <= self._complete_us and len(pending) < self._most_events:
             return []
-        packets = self._cut(self._pending.events, held, closed_us, arrival_ns)
-        self._taken = sum(len(packet.events) for packet in packets)
-        if self._taken >= held:
+        packets = self._cut(pending, held, closed_us, arrival_ns)
+        cut = sum(len(packet.events) for packet in packets)
+        self._pending = pending[cut:]
+        if cut >= held:
             self._pending_arrival_ns = arrival_ns
         if closed_us > self._complete_us:
             packets.append(self._packet(Events.empty(), closed_us, arrival_ns))
         return packets
-
-    def _first_us(self, otherwise: int) -> int:
-        return int(self._pending.events.t[0]) if len(self._pending) else otherwise
 
     def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
         ready = int(events.t.searchsorted(closed_us))
@@ -186,7 +127,5 @@ class Packetizer:
         return min(closed_us, latest + LONGEST_ANNOUNCEMENT_US)
 
     def _packet(self, events: Events, until_us: int, arrival_ns: int) -> Packet:
-        # Packets with events carry the time that the stream has reached in libcaer_cmp only.
-        silent = len(events) and self._encoding != 'libcaer_cmp'
-        self._complete_us = int(events.t[-1]) if silent else until_us
-        return Packet(self._encoding, arrival_ns, events, self._complete_us)
+        self._complete_us = until_us
+        return Packet(arrival_ns, events, until_us)

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from mixtac_core.events.arrays import Events
 
 
+LIBCAER_CMP: Final = 'libcaer_cmp'
+"""The encoding of all packets that are written; see `mixtac_core.events.libcaer_cmp`."""
+
+
 class CodecError(MixtacError):
     """Events that an encoding cannot carry, or a payload that is not valid in its encoding."""
 
@@ -32,15 +36,15 @@ class EncodedPacket:
     """Values of the fields of an `event_camera_msgs/EventPacket` of the same names.
 
     Attributes:
-        encoding: Name of the encoding, one of `mixtac_core.events.codec.ENCODINGS`.
-        time_base: Camera clock [ns]; what it marks depends on the encoding. In an empty packet it
-            is the time up to which the stream is known to be complete.
+        time_base: Time of the first event [ns, camera clock]. In an empty packet it is the time up
+            to which the stream is known to be complete.
         payload: Encoded bytes, ``uint8``, little-endian.
+        encoding: Name of the encoding.
     """
 
-    encoding: str
     time_base: int
     payload: NDArray[np.uint8]
+    encoding: str = LIBCAER_CMP
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,32 +66,12 @@ class DecodedPacket:
         return int(self.events.t[0]) if len(self.events) else self.complete_until
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OwnPacket:
-    """A packet that stays within the process, and what its message would say.
-
-    Attributes:
-        stamp_ns: Arrival on the host [ns, host clock].
-        seq: Number of the packet.
-        width: Columns of the sensor.
-        height: Rows of the sensor.
-        content: What the packet holds; shares no memory with others.
-    """
-
-    stamp_ns: int
-    seq: int
-    width: int
-    height: int
-    content: DecodedPacket
-
-
 CDR_LITTLE_ENDIAN: Final = b'\x00\x01'
 _START: Final = 4
 """Size of the encapsulation header; alignment counts from its end."""
 _STAMP_AND_LENGTH = struct.Struct('<iII')
 _SIZE = struct.Struct('<II')
 _NUMBERS = struct.Struct('<QQI')
-_TWO_NUMBERS = struct.Struct('<QQ')
 _LENGTH = struct.Struct('<I')
 _STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
 
@@ -100,7 +84,7 @@ class SerialisedPacket:
         stamp_ns: `header.stamp`: arrival on the host [ns, host clock].
         seq: Number of the packet.
         time_base: See `mixtac_core.events.packets.EncodedPacket` [ns, camera clock].
-        encoding: One of `mixtac_core.events.codec.ENCODINGS`, or another.
+        encoding: Name of the encoding of the events.
         width: Columns of the sensor.
         height: Rows of the sensor.
         is_bigendian: Byte order of the events.
@@ -159,13 +143,12 @@ class PacketWriter:
 
     Args:
         frame_id: Frame of the camera.
-        encoding: Encoding of all packets.
         size: Columns and rows of the sensor.
     """
 
-    def __init__(self, frame_id: str, encoding: str, size: tuple[int, int]) -> None:
+    def __init__(self, frame_id: str, size: tuple[int, int]) -> None:
         width, height = size
-        frame, name = (text.encode() + b'\0' for text in (frame_id, encoding))
+        frame, name = (text.encode() + b'\0' for text in (frame_id, LIBCAER_CMP))
         head = CDR_LITTLE_ENDIAN + bytes(2) + _STAMP_AND_LENGTH.pack(0, 0, len(frame)) + frame
         head = head.ljust(_aligned(len(head), 4), b'\0') + _SIZE.pack(height, width)
         head = head.ljust(_aligned(len(head), 8), b'\0')
@@ -186,7 +169,7 @@ class PacketWriter:
         """
         head = self._head
         _STAMP[1].pack_into(head, _START, *divmod(stamp_ns, 1_000_000_000))
-        _TWO_NUMBERS.pack_into(head, self._numbers_at, seq, packet.time_base)
+        struct.pack_into('<QQ', head, self._numbers_at, seq, packet.time_base)
         _LENGTH.pack_into(head, self._length_at, len(packet.payload))
         return b''.join((head, packet.payload.data))
 

@@ -2,14 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cutting an event stream into windows of equal width, live or recorded.
 
-Window k covers ``[origin + k * width, origin + (k + 1) * width)`` on the camera clock; its label
-is its end.
+Window k covers ``[k * width, (k + 1) * width)`` on the camera clock; its label is its end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -17,17 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.errors import MixtacError
-
-
-class WindowError(MixtacError):
-    """An invalid time window."""
-
 
 RESTART_US: Final = 1_000_000
 """A larger step back in time [us] is a clock that was reset, not a late packet."""
-
-
 MOST_HELD: Final = 1 << 22
 """Events of windows that do not close, beyond which they are dropped: time stands still."""
 
@@ -41,31 +30,16 @@ class WindowSlicer:
 
     Attributes:
         width_us: Width of a window [us].
-        origin_us: Any window border, camera clock [us].
-        skipped_windows: Empty windows left out in gaps.
         late_events: Events dropped because their window had been closed, or did not close.
-        restarts: Times that the stream went back in time by more than `RESTART_US`.
 
     Args:
         width_us: Width of a window [us], positive.
-        origin_us: Any window border, camera clock [us].
-        max_empty_run: Most empty windows returned by one push.
-
-    Raises:
-        WindowError: Width or run not positive.
+        max_empty_run: Most empty windows returned by one push, positive.
     """
 
-    def __init__(self, width_us: int, origin_us: int = 0, *, max_empty_run: int = 500) -> None:
-        if width_us <= 0 or max_empty_run <= 0:
-            raise WindowError(
-                f'window width {width_us} us with up to {max_empty_run} empty windows: give '
-                'positive numbers'
-            )
+    def __init__(self, width_us: int, *, max_empty_run: int = 500) -> None:
         self.width_us = int(width_us)
-        self.origin_us = int(origin_us)
-        self.skipped_windows = 0
         self.late_events = 0
-        self.restarts = 0
         self._max_empty_run = max_empty_run
         self._next: int | None = None
         self._pending: list[Events] = []
@@ -82,14 +56,14 @@ class WindowSlicer:
         """
         first = int(events.t[0]) if len(events) else complete_until
         following = self._begin(min(first, complete_until))
-        fresh = self._in_time(events, self._start_us(following))
+        fresh = self._in_time(events, following * self.width_us)
         if len(fresh):
             held_before = sum(map(len, self._pending))
             if held_before > MOST_HELD:
                 self.late_events += held_before
                 self._pending = []
             self._pending.append(fresh)
-        closed = self._index(complete_until)
+        closed = complete_until // self.width_us
         if closed <= following:
             return []
         held = Events.concatenate(self._pending)
@@ -98,7 +72,7 @@ class WindowSlicer:
         self._next = closed
         begin, parts = 0, []
         for index in self._occupied_or_near(held, following, closed):
-            end_us = self._start_us(index + 1)
+            end_us = (index + 1) * self.width_us
             end = int(held.t.searchsorted(end_us))
             parts.append((end_us, held[begin:end]))
             begin = end
@@ -109,26 +83,19 @@ class WindowSlicer:
     def open_end_us(self) -> int:
         """End of the window that closes next, camera clock [us]; only after a push."""
         assert self._next is not None  # noqa: S101  (a push sets it)
-        return self._start_us(self._next + 1)
+        return (self._next + 1) * self.width_us
 
     def reset(self) -> None:
         """Discard open windows; the next push starts a new stream."""
         self._pending = []
         self._next = None
 
-    def _index(self, t_us: int) -> int:
-        return (t_us - self.origin_us) // self.width_us
-
-    def _start_us(self, index: int) -> int:
-        return self.origin_us + index * self.width_us
-
     def _begin(self, t_us: int) -> int:
         """Return the index of the first open window; restart after a step back in time."""
-        if self._next is not None and t_us < self._start_us(self._next) - RESTART_US:
-            self.restarts += 1
+        if self._next is not None and t_us < self._next * self.width_us - RESTART_US:
             self.reset()
         if self._next is None:
-            self._next = self._index(t_us)
+            self._next = t_us // self.width_us
         return self._next
 
     def _in_time(self, events: Events, start_us: int) -> Events:
@@ -138,20 +105,16 @@ class WindowSlicer:
         self.late_events += len(events) - int(np.count_nonzero(keep))
         return events[keep]
 
-    def _occupied_or_near(self, held: Events, first: int, end: int) -> Sequence[int]:
+    def _occupied_or_near(self, held: Events, first: int, end: int) -> list[int]:
         """Return the windows in ``[first, end)`` to close: all with events, the latest without."""
-        if end - first <= self._max_empty_run:
-            return range(first, end)
-        indices = (held.t - self.origin_us) // self.width_us
+        run = self._max_empty_run
+        if end - first <= run:
+            return list(range(first, end))
+        indices = held.t // self.width_us
         occupied = np.unique(indices[indices < end])
-        left = self._max_empty_run
-        chosen: list[int] = []
-        for before, index in reversed(list(pairwise([first - 1, *occupied.tolist(), end]))):
-            empty = min(index - before - 1, left)
-            self.skipped_windows += index - before - 1 - empty
-            left -= empty
-            chosen.extend(range(index, index - empty - 1, -1))
-        return chosen[:0:-1]
+        near = np.arange(max(first, end - len(occupied) - run), end)
+        empty = np.setdiff1d(near, occupied, assume_unique=True)[-run:]
+        return np.sort(np.concatenate([occupied, empty])).tolist()
 
 
 def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:
@@ -160,30 +123,15 @@ def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) ->
     Args:
         t: Event times [us], any order, same clock as `start` and `end`.
         start: Start of the first window [us].
-        end: End [us]; only whole windows up to it are counted.
-        width: Width of a window [us].
+        end: End [us], not before `start`; only whole windows up to it are counted.
+        width: Width of a window [us], positive.
 
     Returns:
         ``int64`` counts of the ``(end - start) // width`` windows.
-
-    Raises:
-        WindowError: Width not positive or `end` before `start`.
     """
-    if width <= 0 or end < start:
-        raise WindowError(
-            f'windows of {width} us from {start} to {end} us: give width > 0, end >= start'
-        )
-    counts = np.zeros((end - start) // width, np.int64)
-    _count(np.ascontiguousarray(t, np.int64), int(start), int(width), counts)
-    return counts
-
-
-@njit(cache=True, nogil=True)
-def _count(t: NDArray[np.int64], start: int, width: int, counts: NDArray[np.int64]) -> None:
-    for now in t:
-        index = (now - start) // width
-        if 0 <= index < len(counts):
-            counts[index] += 1
+    count = (end - start) // width
+    indices = (t - start) // width
+    return np.bincount(indices[(indices >= 0) & (indices < count)], minlength=count)
 
 
 @njit(cache=True, nogil=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
+from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node import topics
 from mixtac_core.node.topics import Topic
@@ -53,7 +53,7 @@ class StreamWriter:
     ) -> None:
         self._bag, self._size, self._color_filter = bag, size, color_filter
         self._namespace = namespace
-        self._packetizer = Packetizer(ENCODING, PACKET_PERIOD_US, PACKET_BYTES)
+        self._packetizer = Packetizer()
         self._sequence = self._edges = 0
         self._handles: dict[str, Any] = {}
 

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The encoding of other cameras: words written here one by one come out as events."""
+"""Encodings of other drivers: words written here one by one come out as events."""
 
 from __future__ import annotations
 
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.events.codec import StreamDecoder
+from mixtac_core.events.codec import StreamDecoder, decode
 from mixtac_core.events.packets import CodecError
 
 SIZE = {'width': 640, 'height': 480}
-TIME_LOW, TIME_HIGH, ROW, EVENT, BASE, VECTOR_12, VECTOR_8 = 6, 8, 0, 2, 3, 4, 5
-TRIGGER, OTHERS, CONTINUED = 10, 14, 15
+ROW = 0
+EVENT = 2
+BASE = 3
+VECTOR_12 = 4
+VECTOR_8 = 5
+TIME_LOW = 6
+TIME_HIGH = 8
+TRIGGER = 10
+OTHERS = 14
+CONTINUED = 15
 
 
 def words(*pairs: tuple[int, int]) -> np.ndarray:
@@ -119,3 +128,38 @@ def test_a_time_that_goes_back_a_little_is_no_roll_over():
 def test_other_words_are_refused(payload):
     with pytest.raises(CodecError):
         StreamDecoder().decode(message(payload))
+
+
+def libcaer(*events: tuple[int, int, int, bool]) -> bytes:
+    """Encode events by the layout of `libcaer`; all are valid."""
+    words = [(x << 17 | y << 2 | on << 1 | 1, t % 2**31) for t, x, y, on in events]
+    return b''.join(struct.pack('<Ii', *word) for word in words)
+
+
+@given(
+    start=st.sampled_from([0, 2**31 - 1000, 1_700_000_000_000_000]) | st.integers(0, 2 * 10**15),
+    steps=st.lists(st.sampled_from([0, 1, 1000, 2**24 - 1, 2**30 - 1]), max_size=12),
+)
+def test_libcaer_crosses_roll_overs(start, steps):
+    times = np.cumsum([start, *steps]).tolist()
+    sent = [(t, 40 * i, 30 * i, bool(i % 2)) for i, t in enumerate(times)]
+    base_ns = (start >> 31 << 31) * 1000
+    found = decode(libcaer(*sent), 'libcaer', base_ns, **SIZE)
+    assert rows(found) == sent
+    assert found.complete_until == times[-1]
+
+
+def test_events_marked_as_not_valid_are_left_out():
+    payload = struct.pack('<IiIi', 0b11, 5, 0b10, 9)
+    packet = decode(payload, 'libcaer', 0, **SIZE)
+    assert rows(packet) == [(5, 0, 0, True)]
+    assert packet.complete_until == 9
+
+
+@pytest.mark.parametrize(
+    'payload',
+    [libcaer((0, 640, 0, True)), libcaer((0, 0, 480, True)), bytes(7), struct.pack('<Ii', 1, -1)],
+)
+def test_damaged_libcaer_is_refused(payload):
+    with pytest.raises(CodecError):
+        decode(payload, 'libcaer', 0, **SIZE)

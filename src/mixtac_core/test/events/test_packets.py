@@ -63,19 +63,18 @@ def test_every_field_is_what_ros_wrote(
 
 @given(
     frame=names,
-    encoding=names,
     events=st.binary(max_size=40),
     stamp=st.tuples(st.integers(0, 2**31 - 1), st.integers(0, 999_999_999)),
     seq=st.integers(0, 2**64 - 1),
     time_base=st.integers(0, 2**63 - 1),
     size=st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1)),
 )
-def test_ros_reads_what_is_written(ros, frame, encoding, events, stamp, seq, time_base, size):
-    writer = PacketWriter(frame, encoding, size)
-    writer.write(EncodedPacket(encoding, 1, np.ones(3, np.uint8)), 1, 1)
-    packet = EncodedPacket(encoding, time_base, np.frombuffer(events, np.uint8))
+def test_ros_reads_what_is_written(ros, frame, events, stamp, seq, time_base, size):
+    writer = PacketWriter(frame, size)
+    writer.write(EncodedPacket(1, np.ones(3, np.uint8)), 1, 1)
+    packet = EncodedPacket(time_base, np.frombuffer(events, np.uint8))
     written = writer.write(packet, seq, stamp[0] * 10**9 + stamp[1])
-    expected = ros(frame, encoding, events, stamp, seq, time_base, size, False)
+    expected = ros(frame, 'libcaer_cmp', events, stamp, seq, time_base, size, False)
     assert len(written) == len(expected)
     # Not byte by byte: ROS leaves what aligns the fields as it is in memory.
     assert deserialised(written) == deserialised(expected)

@@ -13,6 +13,7 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
+from mixtac_core.events.packets import EncodedPacket
 from mixtac_core.recordings.bag import typestore
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
@@ -45,6 +46,14 @@ def some_events(seed=0, count=5000, length_us=50_000, start_us=START_US, size=(3
 
 def header(t_us):
     return HEADER(TIME(int(t_us // 1_000_000), int(t_us % 1_000_000) * 1000), 'camera')
+
+
+def plain_packet(events):
+    """Return events in the encoding `libcaer`, by its layout."""
+    x, y, on = (each.astype(np.uint32) for each in (events.x, events.y, events.polarity))
+    data = x << 17 | y << 2 | on << 1 | 1
+    payload = np.stack([data, (events.t & 0x7FFFFFFF).astype(np.uint32)], axis=1).view(np.uint8)
+    return EncodedPacket((int(events.t[0]) >> 31 << 31) * 1000, payload.ravel(), 'libcaer')
 
 
 class Bag:
@@ -81,7 +90,9 @@ class Bag:
         size=(346, 260),
         encoded=None,
     ):
-        encoded = encoded or encode(events, encoding, complete_until=until_us)
+        if encoded is None and encoding == 'libcaer' and len(events):
+            encoded = plain_packet(events)
+        encoded = encoded or encode(events, complete_until=until_us)
         stamp_us = until_us if stamp_us is None else stamp_us
         message = TYPES.types[EVENT_PACKET](
             header(stamp_us),

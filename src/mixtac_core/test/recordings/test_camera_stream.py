@@ -180,7 +180,7 @@ def test_a_restart_of_the_driver_is_not_a_loss(tmp_path):
 
 def test_a_topic_in_an_unknown_encoding_leaves_the_others(tmp_path):
     events = some_events()
-    encoded = EncodedPacket('evt2', START_US * 1000, np.zeros(8, np.uint8))
+    encoded = EncodedPacket(START_US * 1000, np.zeros(8, np.uint8), 'evt2')
     with Bag(tmp_path / 'bag') as bag:
         bag.packet(None, START_US, encoding='evt2', encoded=encoded, topic='/other/events')
         bag.events(events)
@@ -210,7 +210,7 @@ def test_an_evt3_recording_begins_with_the_first_time_that_is_known(tmp_path):
             (1, [time_high | 0x4C5, time_low | 1, event]),
         ):
             payload = np.array(words, np.uint16).view(np.uint8)
-            encoded = EncodedPacket('evt3', 0, payload)
+            encoded = EncodedPacket(0, payload, 'evt3')
             bag.packet(None, START_US + late_us, encoding='evt3', encoded=encoded)
         bag.image(
             np.zeros((4, 4), np.uint8), START_US + 500, encoding='mono8', topic='/mixtac/image'
@@ -267,7 +267,7 @@ def test_samples_and_frames_are_those_of_the_camera_of_the_events(tmp_path, own,
 @pytest.mark.parametrize('encoding', ['evt2', 'jpeg'])
 def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
     with Bag(tmp_path / 'bag') as bag:
-        encoded = EncodedPacket(encoding, START_US * 1000, np.zeros(8, np.uint8))
+        encoded = EncodedPacket(START_US * 1000, np.zeros(8, np.uint8), encoding)
         bag.packet(None, START_US, encoding=encoding, encoded=encoded)
     with pytest.raises(RecordingError) as error:
         read(tmp_path / 'bag')
@@ -278,7 +278,7 @@ def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
 def test_a_damaged_packet_ends_the_playing_with_its_topic(tmp_path):
     events = some_events()
     good = encode(events.between(START_US, START_US + 1000), complete_until=START_US + 1000)
-    bad = EncodedPacket('libcaer_cmp', good.time_base, np.full(7, 0xFF, np.uint8))
+    bad = EncodedPacket(good.time_base, np.full(7, 0xFF, np.uint8))
     with Bag(tmp_path / 'bag') as bag:
         bag.packet(None, START_US, encoded=good)
         bag.packet(None, START_US + 5, encoded=bad)

@@ -35,7 +35,7 @@ EVENTS = Events(
     np.array([4, 5, 6], 'u2'),
     np.array([1, 0, 1]) > 0,
 )
-PACKET = Packet('libcaer_cmp', 77_000_000_123, EVENTS, 900)
+PACKET = Packet(77_000_000_123, EVENTS, 900)
 SAMPLES = InertialSamples(
     np.array([10, 20]),
     np.array([[1.0, 2.0, 3.0], [np.nan] * 3]),

@@ -76,8 +76,8 @@ class EventPublisher:
         if self._packetizer is None or self._writer is None:
             period_us = round(self._p.event_message_time_threshold * 1e6)
             most_bytes = self._p.event_message_size_threshold
-            self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
-            self._writer = PacketWriter(self._p.camera_frame_id, self._p.encoding, size)
+            self._packetizer = Packetizer(period_us, most_bytes)
+            self._writer = PacketWriter(self._p.camera_frame_id, size)
         if self._move is not None:
             events = self._move(events)
         for packet in self._packetizer.push(events, time_us, arrival_ns):

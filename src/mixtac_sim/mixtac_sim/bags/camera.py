@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
-from mixtac_core.events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
+from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
 from mixtac_core.node.topics import CAMERA_FRAME, IMU, IMU_FRAME
 from mixtac_core.recordings import messages
@@ -231,7 +231,7 @@ class CameraMessages:
     """
 
     def __init__(self, clocks: TrialClocks, sink: MessageSink, serial: str) -> None:
-        self._packetizer = Packetizer(ENCODING, PACKET_PERIOD_US, PACKET_BYTES)
+        self._packetizer = Packetizer()
         self._clocks, self._sink, self._serial = clocks, sink, serial
         self._map = ClockMap()
         self._clock_due_ns = 0
