@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import shlex
 from functools import partial
@@ -17,7 +18,7 @@ import yaml
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac import main as cli
-from mixtac_core.node.topics import SERVICES, TOPICS
+from mixtac_core.node.topics import TOPICS
 from mixtac_slip_control.parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,7 +75,10 @@ SUBSCRIBED = {
     )
 }
 """What our nodes listen to and others publish, with its type."""
-SERVICE_TYPES = {f'/mixtac/{each.name}': each.type_name for each in SERVICES}
+SERVICE_TYPES = {
+    f'/mixtac/{name}': kind
+    for name, kind in json.loads((ROOT / 'test' / 'interface.json').read_text())['services']
+}
 
 
 def commands() -> list[tuple[str, str]]:

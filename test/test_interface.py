@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every name that users rely on is still there: `interface.json` lists them.
 
-Names may be added. A name that goes is taken out, and CHANGELOG.md tells what to use instead.
+Names may be added. A name that goes is taken out, and CHANGELOG.md says what to use instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_core.node.parameters import specs
-from mixtac_core.node.topics import SERVICES, TOPICS
+from mixtac_core.node.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
 INTERFACE = json.loads((ROOT / 'test' / 'interface.json').read_text())
@@ -42,10 +42,31 @@ def test_every_option_of_a_command_is_there(commands, name):
     assert set(INTERFACE['commands'][name]) <= options_of(commands[name])
 
 
+def table(heading: str) -> list[list[str]]:
+    """Return the rows of a table of docs/reference.md, without backquotes and head."""
+    page = (ROOT / 'docs' / 'reference.md').read_text()
+    section = page.partition(f'\n## {heading}\n')[2].partition('\n## ')[0].replace('`', '')
+    rows = [line for line in section.splitlines() if line.startswith('|')][2:]
+    return [[cell.strip() for cell in row.split('|')[1:-1]] for row in rows]
+
+
 def test_topics_and_services_keep_names_and_types():
-    for wanted, there in (('topics', TOPICS), ('services', SERVICES)):
-        names = {(each.name, each.type_name) for each in there}
-        assert {tuple(each) for each in INTERFACE[wanted]} <= names
+    topics = {(each.name, each.type_name) for each in TOPICS}
+    assert {tuple(each) for each in INTERFACE['topics']} <= topics
+    services = {(name, kind) for name, kind, _ in table('Services')}
+    assert {tuple(each) for each in INTERFACE['services']} <= services
+
+
+def test_the_page_lists_every_topic_with_its_qos():
+    assert [row[:3] for row in table('Topics')] == [
+        [
+            each.name,
+            each.type_name,
+            f'depth {each.depth}{", transient local" if each.latched else ""}',
+        ]
+        for each in TOPICS
+    ]
+    assert all(row[-1] for heading in ('Topics', 'Services') for row in table(heading))
 
 
 @pytest.mark.parametrize('node', INTERFACE['parameters'])

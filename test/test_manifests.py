@@ -36,7 +36,6 @@ KEYS = {
 }
 """rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
 WITHOUT_KEY = {
-    'cattrs',
     'dv_processing',
     'h5py',
     'libusb_package',

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Write config/*.yaml and docs/reference.md from the code that defines them.
+"""Write config/*.yaml and the parameters of docs/reference.md from the code that defines them.
 
-With `--check` nothing is written; the exit status tells whether the files are up to date.
+With `--check` nothing is written; the exit status is 1 when a file is out of date.
 """
 
 from __future__ import annotations
 
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ import yaml
 from mixtac.parameters import RecorderParameters, SupervisorParameters, ViewParameters
 from mixtac_core.node.graph import rosbag2_qos
 from mixtac_core.node.parameters import ParameterSpec, specs, yaml_scalar
-from mixtac_core.node.topics import SERVICES, TOPICS
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.alignment.parameters import AlignmentParameters, ForceErrorParameters
 from mixtac_fger.parameters import FgerParameters
@@ -69,33 +69,17 @@ def config(node: str, schema: type[Any]) -> str:
             notes.append(f'Unit: {spec.unit}.')
         if spec.read_only:
             notes.append('Fixed while the node runs.')
-        lines += ['']
-        lines += [f'    # {line}' for note in notes for line in wrap(note)]
+        lines += ['', *(f'    # {line}' for note in notes for line in textwrap.wrap(note, 92))]
         lines.append(f'    {spec.name}: {yaml_scalar(spec.default)}')
     return '\n'.join(lines) + '\n'
 
 
-def wrap(text: str, width: int = 92) -> list[str]:
-    """Return text in lines."""
-    import textwrap
-
-    return textwrap.wrap(text, width)
-
-
 def reference() -> str:
-    """Return the page of topics, services and parameters."""
-    lines = ['# Topics, services and parameters', '']
-    lines += ['Written from the code by `make docs`; a test fails when it is out of date.', '']
-    lines += ['## Topics', '', 'Names without a leading slash are relative to the namespace.', '']
-    lines += ['Publishers are reliable, so that every subscription gets their messages.', '']
-    lines += ['| topic | type | QoS | what |', '|---|---|---|---|']
-    for topic in TOPICS:
-        qos = f'depth {topic.depth}{", transient local" if topic.latched else ""}'
-        lines.append(f'| `{topic.name}` | `{topic.type_name}` | {qos} | {topic.description} |')
-    lines += ['', '## Services', '', '| service | type | what |', '|---|---|---|']
-    lines += [f'| `{s.name}` | `{s.type_name}` | {s.description} |' for s in SERVICES]
+    """Return the page of topics, services and parameters; what is above these stays as it is."""
+    page = (ROOT / 'docs' / 'reference.md').read_text()
+    lines = [page.partition('\n## Parameters of')[0]]
     for node, schema in SCHEMAS.items():
-        lines += ['', f'## Parameters of `{node}`', '']
+        lines += [f'## Parameters of `{node}`', '']
         lines += ['| parameter | default | unit | allowed | at run time | what |']
         lines += ['|---|---|---|---|---|---|']
         for spec in specs(schema):
@@ -104,7 +88,8 @@ def reference() -> str:
                 f'| `{spec.name}` | `{yaml_scalar(spec.default)}` | {spec.unit} | {allowed(spec)} '
                 f'| {change} | {spec.description} |'
             )
-    return '\n'.join(lines) + '\n'
+        lines.append('')
+    return '\n'.join(lines)
 
 
 def rosbag2() -> str:

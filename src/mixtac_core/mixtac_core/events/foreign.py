@@ -16,7 +16,7 @@ name their kind. Time and row hold until they change, also from packet to packet
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -135,7 +135,7 @@ class Evt3Decoder:
 @njit(cache=True, nogil=True)
 def _decode_evt3(  # noqa: C901, PLR0912  (one branch per kind of word)
     words: NDArray[np.uint16],
-    state: tuple[int, ...],
+    state: tuple[Any, ...],
     width: int,
     height: int,
     t: NDArray[np.int64],

@@ -114,7 +114,7 @@ class WindowSlicer:
         occupied = np.unique(indices[indices < end])
         near = np.arange(max(first, end - len(occupied) - run), end)
         empty = np.setdiff1d(near, occupied, assume_unique=True)[-run:]
-        return np.sort(np.concatenate([occupied, empty])).tolist()
+        return [int(each) for each in np.sort(np.concatenate([occupied, empty]))]
 
 
 def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:

@@ -17,20 +17,15 @@ import json
 import os
 import re
 import secrets
-import shutil
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 
 from mixtac_core.events.errors import MixtacError
-
-if TYPE_CHECKING:
-    # `ros2 launch` reads parameter files with an interpreter that has only what ROS brings.
-    import cattrs
 
 T = TypeVar('T')
 
@@ -118,16 +113,12 @@ def replacing(path: Path) -> Iterator[Path]:
             scratch.unlink(missing_ok=True)
 
 
-_UNFINISHED = '.unfinished-'
-_OLD_S = 60.0
-
-
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield the path of a folder to make, and move it to `path` on success.
 
-    Makes the parent folder. When the block raises, nothing is left; what a killed process left
-    beside `path` is removed by the next one.
+    Makes the parent folder. When the block raises, nothing is left; a killed process leaves a
+    folder `.unfinished-*` beside `path`.
 
     Raises:
         FileError: `path` exists, also when the block has ended, or cannot be written.
@@ -136,28 +127,15 @@ def new_folder(path: Path) -> Iterator[Path]:
         if path.exists() or path.name in ('', '..'):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
         path.parent.mkdir(parents=True, exist_ok=True)
-        for left in path.parent.glob(f'{_UNFINISHED}*'):
-            _sweep(left)
-        scratch = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=path.parent))
-        try:
-            with locked(scratch):
-                yield scratch / path.name
-                (scratch / path.name).rename(path)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+        with tempfile.TemporaryDirectory(prefix='.unfinished-', dir=path.parent) as scratch:
+            made = Path(scratch) / path.name
+            yield made
+            made.rename(path)
     except OSError as error:
         reason = error.strerror or error
         raise FileError(
             f'cannot write {path}: {reason}', remedy='choose a new folder with free space'
         ) from error
-
-
-def _sweep(folder: Path) -> None:
-    """Remove an unfinished folder if it is old and its process has ended."""
-    with contextlib.suppress(OSError):
-        if time.time() - folder.stat().st_mtime > _OLD_S:
-            with locked(folder, wait=False):
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager
@@ -253,76 +231,51 @@ def structure(data: object, cls: type[T], where: str) -> T:
 
     Args:
         data: As YAML and JSON give it.
-        cls: The dataclass, or any type of its fields.
+        cls: The dataclass. Its fields are plain values, dataclasses, `X | None`, `Any`, or
+            `list`, `tuple` and `dict` of these.
         where: File or section, for the message.
 
     Raises:
         FileError: A key is unknown or missing, or a value has another type or is not allowed.
     """
-    import cattrs
-
+    if not isinstance(data, dict):
+        raise FileError(f'{where}: a mapping is expected, not {data!r}')
+    kinds = _kinds(cls)  # type: ignore[arg-type]
+    if unknown := [each for each in data if each not in kinds]:
+        near = difflib.get_close_matches(str(unknown[0]), kinds, 1) or [', '.join(kinds)]
+        raise FileError(f'{where}: unknown key {unknown[0]!r}; did you mean {near[0]}?')
+    for each in dataclasses.fields(cls):  # type: ignore[arg-type]
+        if each.default is each.default_factory is dataclasses.MISSING and each.name not in data:
+            raise FileError(f'{where}: key {each.name!r} is missing')
+    values = {name: _checked(each, kinds[name], f'{where}: {name}') for name, each in data.items()}
     try:
-        return _converter().structure(data, cls)
-    except (
-        cattrs.BaseValidationError,
-        MixtacError,
-        ValueError,
-        TypeError,
-        AttributeError,
-    ) as error:
-        raise FileError(f'{where}: {_reason(error)}') from error
+        return cls(**values)
+    except (MixtacError, ValueError, TypeError) as error:
+        raise FileError(f'{where}: {error}') from error
 
 
 @functools.cache
-def _converter() -> cattrs.Converter:
-    import cattrs
-
-    converter = cattrs.Converter(forbid_extra_keys=True)
-    for kind in (bool, int, float, str):
-        converter.register_structure_hook(kind, functools.partial(_plain, kind))
-    converter.register_structure_hook_factory(
-        dataclasses.is_dataclass, functools.partial(_of_mapping, converter)
-    )
-    return converter
+def _kinds(cls: type[Any]) -> dict[str, Any]:
+    hints = get_type_hints(cls)
+    return {each.name: hints[each.name] for each in dataclasses.fields(cls)}
 
 
-def _of_mapping(converter: cattrs.Converter, cls: type[Any]) -> Any:  # noqa: ANN401
-    from cattrs.gen import make_dict_structure_fn
-
-    build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
-
-    def checked(value: object, kind: type[Any]) -> Any:  # noqa: ANN401
-        if not isinstance(value, dict):
-            raise TypeError(f'a mapping is expected, not {value!r}')
-        return build(value, kind)
-
-    return checked
-
-
-def _plain(kind: type[Any], value: object, _: object = None) -> Any:  # noqa: ANN401
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+def _checked(value: Any, kind: Any, where: str) -> Any:  # noqa: ANN401
+    """Return a value of a type that `structure` allows."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return None if value is None else _checked(value, inner[0], where)
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return structure(value, kind, where)
+    if origin is dict and isinstance(value, dict):
+        return {key: _checked(each, inner[1], f'{where}: {key}') for key, each in value.items()}
+    if origin in (list, tuple) and isinstance(value, (list, tuple)):
+        kinds = inner if inner[-1] is not Ellipsis and origin is tuple else inner[:1] * len(value)
+        if len(kinds) == len(value):
+            return origin(_checked(e, k, where) for e, k in zip(value, kinds, strict=True))
+    if kind is float and type(value) is int:
         return float(value)
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise TypeError(f'{kind.__name__} is expected, not {value!r}')
+    if kind is not Any and type(value) is not kind:
+        name = kind.__name__ if isinstance(kind, type) else kind
+        raise FileError(f'{where}: {name} is expected, not {value!r}')
     return value
-
-
-def _reason(error: BaseException) -> str:
-    import cattrs
-    from cattrs.errors import ForbiddenExtraKeysError
-
-    if isinstance(error, ForbiddenExtraKeysError):
-        known = [each.name for each in dataclasses.fields(error.cl)]
-        unknown = min(map(str, error.extra_fields))
-        near = difflib.get_close_matches(unknown, known, 1) or [', '.join(known)]
-        return f'unknown key {unknown!r}; did you mean {near[0]}?'
-    if isinstance(error, KeyError):
-        return f'key {error.args[0]!r} is missing'
-    if isinstance(error, cattrs.BaseValidationError):
-        # An unknown key first: it often is a key that is missing under another name.
-        first = min(error.exceptions, key=lambda e: not isinstance(e, ForbiddenExtraKeysError))
-        notes = getattr(first, '__notes__', [])
-        names = [note.name for note in notes if hasattr(note, 'name')]
-        inner = _reason(first)
-        return f'{names[0]}: {inner}' if names and not isinstance(first, KeyError) else inner
-    return str(error)

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from mixtac_core.node.files import (
     new_folder,
     read_dataclass,
     replacing,
+    state_file,
     structure,
     writable,
     write_json,
@@ -93,34 +92,6 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert caught.value.remedy
 
 
-UNFINISHED = """
-import sys, time
-from pathlib import Path
-from mixtac_core.node.files import new_folder
-with new_folder(Path(sys.argv[1])) as made:
-    made.mkdir()
-    print(made.parent, flush=True)
-    time.sleep(600)
-"""
-
-
-def test_what_a_killed_process_left_is_removed_and_what_another_fills_is_not(tmp_path):
-    command = [sys.executable, '-c', UNFINISHED, str(tmp_path / 'other')]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout
-            left = process.stdout.readline().strip()
-            for number, running in enumerate((True, False)):
-                os.utime(left, (0, 0))
-                with new_folder(tmp_path / f'mine_{number}') as made:
-                    made.mkdir()
-                    assert Path(left).exists() == running
-                process.kill()
-                process.wait()
-        finally:
-            process.kill()
-
-
 def test_the_temporary_file_keeps_the_suffix(tmp_path):
     with replacing(tmp_path / 'x.npz') as scratch:
         assert scratch.suffix == '.npz'
@@ -179,13 +150,6 @@ def test_a_file_that_is_not_yaml_is_refused(tmp_path, content):
     assert str(path) in str(caught.value)
 
 
-def nested(first: str, other: str) -> str:
-    """Return YAML whose values hold the one before twenty times, by aliases."""
-    lines = [f'v0: &v0 {first}']
-    lines += [f'v{n}: &v{n} ' + other % ', '.join([f'*v{n - 1}'] * 20) for n in range(1, 5)]
-    return '\n'.join(lines)
-
-
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(FileError):
         read_dataclass(tmp_path / 'none.yaml', Config)
@@ -206,3 +170,27 @@ def test_what_can_be_written_is_left_alone(tmp_path):
     assert writable(path) == path
     assert writable(None) is None
     assert not path.parent.exists()
+
+
+def test_plain_names_lie_in_the_state_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
+    assert state_file('left.npz') == tmp_path / 'left.npz'
+    assert state_file(str(tmp_path / 'left.npz')) == tmp_path / 'left.npz'
+
+
+def test_the_folder_is_that_of_the_user(monkeypatch):
+    monkeypatch.delenv('MIXTAC_HOME', raising=False)
+    monkeypatch.setenv('XDG_STATE_HOME', '/var/state')
+    assert state_file('a') == Path('/var/state/mixtac/a')
+    monkeypatch.delenv('XDG_STATE_HOME')
+    assert state_file('a') == Path.home() / '.local/state/mixtac/a'
+
+
+@pytest.mark.parametrize(
+    'name', ['', '.', '..', '../a', '/etc/passwd', 'a/b', '.hidden', 'a b', 'a\n']
+)
+def test_other_names_are_refused(tmp_path, monkeypatch, name):
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
+    with pytest.raises(FileError) as caught:
+        state_file(name)
+    assert caught.value.remedy

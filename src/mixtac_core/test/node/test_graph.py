@@ -32,7 +32,7 @@ def overrides(nodes) -> dict[str, dict[str, object]]:
     return {node.name: dict(node.overrides) for node in nodes}
 
 
-FROM_PIP = ('cattrs', 'numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
+FROM_PIP = ('numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
 """Modules that pip installs, but YAML."""
 
 
