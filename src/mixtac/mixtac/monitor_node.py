@@ -21,6 +21,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from numpy.typing import NDArray
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -31,7 +33,6 @@ from std_srvs.srv import Trigger
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, starting
 from mixtac_core.node.graph import NodeSpec
-from mixtac_core.node.lifecycle_node import LifecycleClient
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.stamps import stamp_to_ns
 from mixtac_msgs.srv import Touch
@@ -41,6 +42,8 @@ DEPTH: Final = 1000
 """Forces that may wait: those of two seconds in which the host has no time for the monitor."""
 MOST_HZ: Final = 1100
 """Highest rate of forces and of the reference that `Monitor` keeps [Hz]."""
+LOG_PATIENCE_S: Final = 3.0
+"""Longest time until the log of a refusal arrives after its answer [s]."""
 REPORT_PERIOD_S: Final = 10.0
 """Time between two lines on what is waited for [s]."""
 
@@ -179,13 +182,15 @@ class Monitor(Receiver):
             GraphError: That failed.
         """
         for name in [node.name for node in nodes if node.lifecycle]:
-            LifecycleClient(
-                self._node,
-                topics.absolute(name, self._namespace),
-                processes.check,
-                partial(processes.last_error, name),
-                timeout_s=math.inf,
-            ).bring_up()
+            for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+                request = ChangeState.Request(transition=Transition(id=transition))
+                reply = self._call(ChangeState, f'{name}/change_state', request, processes.check)
+                if not reply.success:
+                    end_s = time.monotonic() + LOG_PATIENCE_S
+                    while not (why := processes.last_error(name)) and time.monotonic() < end_s:
+                        time.sleep(0.05)
+                    target = topics.absolute(name, self._namespace)
+                    raise GraphError(f'{target} could not be started: {why or "see its log"}')
 
     def listen(self) -> None:
         """Subscribe and start receiving."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import select
 import signal
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -18,14 +19,13 @@ from typing import Final
 
 from mixtac.latest import SensorError
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.node.process import JsonProcess
 
 NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-START_S: Final = 600.0
-"""Longest time to start [s]: the first time the simulation compiles, on a busy computer slowly."""
+STOP_S: Final = 20.0
+"""From SIGTERM to SIGKILL [s]."""
 
 
 class VirtualProcess:
@@ -44,21 +44,26 @@ class VirtualProcess:
 
     def __init__(self, scenario: str) -> None:
         command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
-        self._process = JsonProcess('the virtual sensor', command)
-        try:
-            found = self._process.expect('device', START_S)
-        except MixtacError as error:
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        # The first time the simulation compiles, on a busy computer slowly: no time limit.
+        lines = self._process.stdout or ()
+        found = json.loads(next((each for each in lines if each.startswith('{')), '{}'))
+        if not found.get('device'):
             self.close()
-            remedy = 'see what it printed, or try again while the computer does less'
-            raise SensorError(str(error), remedy=remedy) from error
-        if found.get('error'):
-            self.close()
-            raise SensorError(str(found['error']))
+            status = f'the virtual sensor ended with status {self._process.returncode}'
+            raise SensorError(str(found.get('error', status)), remedy='see what it printed')
         self.device = str(found['device'])
 
     def close(self) -> None:
         """End the process."""
-        self._process.stop()
+        self._process.terminate()
+        try:
+            self._process.communicate(timeout=STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
 
 
 def serve(scenario: str) -> None:

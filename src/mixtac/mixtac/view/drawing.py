@@ -16,7 +16,7 @@ from mixtac_core.events.codec import decode_message
 from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node.diagnostics import RateMeter
-from mixtac_core.node.images import ImageConversionError, image_array
+from mixtac_core.node.images import ImageConversionError, picture
 
 if TYPE_CHECKING:
     from mixtac_core.events.arrays import Events
@@ -189,13 +189,12 @@ class Drawing:
         message, self._received.frame = self._received.frame, None
         if message is None:
             return
-        mono = str(message.encoding).startswith(('mono', '8UC1', '16UC1'))
         try:
-            image = image_array(message, 'mono8' if mono else 'rgb8')
+            image = picture(message)
         except ImageConversionError:
             self.undecodable += 1
             return
-        self._page.frame(np.asarray(image, np.uint8))
+        self._page.frame(image)
 
     def _state(self, now_s: float) -> str:
         received = self._received

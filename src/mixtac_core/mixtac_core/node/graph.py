@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mixtac_core.node.parameters import yaml_scalar
 from mixtac_core.node.process import GraphError
 from mixtac_core.node.share import share
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
@@ -46,22 +47,6 @@ class NodeSpec:
         """Name of the executable."""
         return self.module.rpartition('.')[2]
 
-    def parameter_files(self, params_file: Path | None = None) -> list[Path]:
-        """Return the parameter files of this process; later ones take precedence.
-
-        Args:
-            params_file: File that overrides the shipped ones.
-
-        Raises:
-            GraphError: The file does not exist.
-        """
-        shipped = [config_file(f'{self.name}.yaml')]
-        if params_file is None:
-            return shipped
-        if not params_file.is_file():
-            raise GraphError(f'no parameter file {params_file}')
-        return [*shipped, params_file]
-
     def ros_arguments(self, params_file: Path | None = None, log_level: str = 'info') -> list[str]:
         """Return the ROS arguments of this process except for its name and namespace.
 
@@ -72,13 +57,15 @@ class NodeSpec:
             log_level: Lowest severity that the node logs.
 
         Raises:
-            GraphError: A parameter file does not exist.
+            GraphError: The parameter file does not exist.
         """
+        if params_file is not None and not params_file.is_file():
+            raise GraphError(f'no parameter file {params_file}')
         arguments = ['--ros-args', '--log-level', log_level]
-        for file in self.parameter_files(params_file):
+        for file in filter(None, (config_file(f'{self.name}.yaml'), params_file)):
             arguments += ['--params-file', str(file)]
         for name, value in self.overrides.items():
-            arguments += ['-p', f'{name}:={yaml_value(value)}']
+            arguments += ['-p', f'{name}:={yaml_scalar(value)}']
         return arguments
 
     def command(
@@ -259,13 +246,3 @@ def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
     if save is not None:
         overrides['save'] = str(save)
     return node('mixtac.view', 'view', overrides=overrides)
-
-
-def yaml_value(value: object) -> str:
-    """Return a parameter value as YAML for the command line."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        escaped = value.replace("'", "''")
-        return f"'{escaped}'"
-    return repr(value)

@@ -21,9 +21,6 @@ from mixtac_core.events.errors import MixtacError
 
 Pixels = NDArray[np.uint8 | np.uint16]
 
-
-PASSTHROUGH = 'passthrough'
-"""Target that keeps the encoding of the message."""
 MOST_PIXELS = 1 << 22
 """Larger images are refused: the work on a message is bounded."""
 _MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
@@ -32,8 +29,6 @@ _ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'
 """Encodings without colour names, and how OpenCV interprets them."""
 ENCODINGS = (*(f'{kind}{bits}' for kind in _CHANNELS for bits in (8, 16)), *_ALIASES)
 """Encodings that can be read."""
-TARGETS = (PASSTHROUGH, *(f'{kind}{bits}' for kind in ('mono', 'rgb', 'bgr') for bits in (8, 16)))
-"""Allowed targets."""
 
 
 class ImageConversionError(MixtacError):
@@ -53,7 +48,7 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     Raises:
         ImageConversionError: Unknown encoding, or sizes that contradict each other.
     """
-    dtype, channels = _layout(str(message.encoding))
+    dtype, channels, _ = _layout(str(message.encoding))
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
     if width * height > MOST_PIXELS:
@@ -74,27 +69,6 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     return found if channels == 1 else found.reshape(height, width, channels)
 
 
-def image_array(message: Any, target: str = PASSTHROUGH) -> Pixels:  # noqa: ANN401
-    """Return the pixels of an image message in another encoding.
-
-    Values are scaled between 8 and 16 bits so that white stays white, as cv_bridge does.
-
-    Args:
-        message: A `sensor_msgs/Image` in one of `ENCODINGS`.
-        target: One of `TARGETS`.
-
-    Raises:
-        ImageConversionError: Another encoding or target, or a damaged message.
-    """
-    if target not in TARGETS:
-        raise ImageConversionError(f'image target {target!r}: use one of {", ".join(TARGETS)}')
-    found = pixels(message)
-    source = _ALIASES.get(str(message.encoding), str(message.encoding))
-    if target in (PASSTHROUGH, source):
-        return found
-    return convert_colours(found, source, target)
-
-
 def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays apart)
     """Return the grey levels of an image message with as many bits as it has, [height, width].
 
@@ -107,8 +81,27 @@ def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays 
     Raises:
         ImageConversionError: Another encoding, or a damaged message.
     """
-    dtype, _ = _layout(str(message.encoding))
-    return image_array(message, f'mono{8 * dtype.itemsize}')
+    return _converted(pixels(message), _layout(str(message.encoding))[2], 'mono')
+
+
+def picture(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
+    """Return an image message with 8 bits, white stays white: grey levels, or colours as RGB.
+
+    Args:
+        message: A `sensor_msgs/Image` in one of `ENCODINGS`.
+
+    Returns:
+        [height, width] for grey encodings, else [height, width, 3].
+
+    Raises:
+        ImageConversionError: Another encoding, or a damaged message.
+    """
+    kind = _layout(str(message.encoding))[2]
+    found = _converted(pixels(message), kind, 'mono' if kind == 'mono' else 'rgb')
+    if found.dtype == np.uint8:
+        return found.view(np.uint8)
+    # The nearest of 256 levels; no value lies between two.
+    return ((found.astype(np.uint32) + 128) // 257).astype(np.uint8)
 
 
 def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
@@ -122,7 +115,7 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     Raises:
         ImageConversionError: Type or shape is not that of the encoding.
     """
-    dtype, channels = _layout(encoding)
+    dtype, channels, _ = _layout(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
     if image.dtype != dtype or image.shape != shape or not image.size:
         raise ImageConversionError(
@@ -169,57 +162,28 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
         raise ImageConversionError(f'compressed image is damaged: {error}') from error
     if found is None or found.dtype not in (np.uint8, np.uint16):
         raise ImageConversionError(f'compressed image of {data.size} bytes is damaged')
-    bits = 8 * found.itemsize
-    kinds = {2: 'mono', 3: 'bgr', 4: 'bgra'}
-    source = kinds.get(found.ndim if found.ndim == 2 else found.shape[2], '')
     named = str(message.format).partition(';')[0].rstrip('0123456789')
-    if source == 'mono' and named in _MOSAICS:
-        source = named
-    if source == 'mono':
-        return np.asarray(found)
-    return convert_colours(found, f'{source}{bits}', f'mono{bits}')
+    kind = named if named in _MOSAICS else 'mono'
+    if found.ndim == 3:
+        kind = 'bgr' if found.shape[2] == 3 else 'bgra'
+    return _converted(found, kind, 'mono')
 
 
-def convert_colours(pixels: Pixels, source: str, target: str) -> Pixels:
-    """Return pixels in another encoding: first the colours are converted, then the depth.
-
-    Bayer mosaics are interpolated bilinearly.
-
-    Args:
-        pixels: `uint8` or `uint16`, [height, width] or [height, width, channels].
-        source: Their encoding, no alias.
-        target: Wanted encoding, different from `source`.
-    """
-    code = _code(source.rstrip('0123456789'), target.rstrip('0123456789'))
-    found = pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), pixels.dtype)
-    return _with_depth(found, target)
-
-
-def _layout(encoding: str) -> tuple[np.dtype[Any], int]:
+def _layout(encoding: str) -> tuple[np.dtype[Any], int, str]:
+    """Return type and number of the channels of an encoding, and the name of its colours."""
     if encoding not in ENCODINGS:
         raise ImageConversionError(
             f'image encoding {encoding!r}: use one of {", ".join(ENCODINGS)}'
         )
     name = _ALIASES.get(encoding, encoding)
     kind = name.rstrip('0123456789')
-    return np.dtype(f'u{int(name[len(kind) :]) // 8}'), _CHANNELS[kind]
+    return np.dtype(f'u{int(name[len(kind) :]) // 8}'), _CHANNELS[kind], kind
 
 
-def _code(source: str, target: str) -> int | None:
-    """Return OpenCV's number for a conversion of colours, None where they are the same."""
+def _converted(found: Any, source: str, target: str) -> Any:  # noqa: ANN401
+    """Return pixels in other colours, with as many bits. Mosaics are interpolated bilinearly."""
     if source == target:
-        return None
+        return found
     names = {'mono': 'GRAY'} | {mosaic: f'Bayer{mosaic[-4:].upper()}' for mosaic in _MOSAICS}
     one, other = (names.get(kind, kind.upper()) for kind in (source, target))
-    return int(getattr(cv2, f'COLOR_{one}2{other}'))
-
-
-def _with_depth(pixels: Pixels, target: str) -> Pixels:
-    """Return the pixels with the bits of the target, 255 and 65535 both white."""
-    wanted = np.dtype(np.uint16 if target.endswith('16') else np.uint8)
-    if pixels.dtype == wanted:
-        return pixels
-    if wanted == np.uint16:
-        return np.multiply(pixels, 257, dtype=np.uint16)
-    # The nearest of 256 levels; no value lies between two.
-    return ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    return cv2.cvtColor(found, getattr(cv2, f'COLOR_{one}2{other}'))

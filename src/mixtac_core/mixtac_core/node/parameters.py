@@ -180,7 +180,7 @@ def parameter_file(node: str, settings: Any) -> str:  # noqa: ANN401
     return '\n'.join(lines) + '\n'
 
 
-def yaml_scalar(value: Value) -> str:
+def yaml_scalar(value: object) -> str:
     """Return the value of a parameter as YAML, for ROS 2 and for YAML 1.1."""
     if isinstance(value, bool):
         return str(value).lower()

@@ -12,9 +12,7 @@ import ctypes
 import faulthandler
 import fcntl
 import gc
-import json
 import os
-import queue
 import re
 import shutil
 import signal
@@ -55,17 +53,15 @@ def lower_priority(niceness: int) -> None:
 
 
 _SET_TIMER_SLACK = 29
+"""Number of this option of `prctl`."""
 _SLACK_NS = 1000
+"""Longest extension of a sleep [ns]."""
 
 
 def exact_sleeps() -> None:
     """Have sleeps of the calling thread end on time: Linux lets them last up to 50 us longer."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)
-
-
-COMPILING_S = 300.0
-"""Time after which a process compiles although another one of the user still does."""
 
 
 @contextlib.contextmanager
@@ -91,38 +87,15 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
                 # It may take longer than `STUCK_S`.
                 faulthandler.cancel_dump_traceback_later()
                 say()
-                _await_lock(lock, time.monotonic() + COMPILING_S)
+                fcntl.flock(lock, fcntl.LOCK_EX)
 
         def on_end(self, _event: object) -> None:
             pass
 
-    path = _own_folder('mixtac-kernels') / kernels.replace('/', '.')
+    name = f'mixtac-{os.getuid()}-{kernels.replace("/", ".")}.lock'
+    path = Path(tempfile.gettempdir()) / name
     with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
         yield
-
-
-def _await_lock(handle: IO[str], until_s: float) -> None:
-    # Without a lock in the end: one process that hangs must not keep all others from starting.
-    while time.monotonic() < until_s:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(0.05)
-        else:
-            break
-
-
-def _own_folder(name: str) -> Path:
-    """Return a folder for the processes of this user on this machine; made if it is not there.
-
-    Raises:
-        GraphError: Another user has it.
-    """
-    folder = Path(tempfile.gettempdir()) / f'{name}-{os.getuid()}'
-    folder.mkdir(mode=0o700, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
-    return folder
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -292,96 +265,6 @@ class ProcessGroup:
             codes[each] = _wait(member.process, deadline - time.monotonic())
             member.reader.join(1.0)
         return codes
-
-
-class JsonProcess:
-    """A child process that writes one JSON object per line; other lines are ignored.
-
-    It ends with this process, or when the `with` block is left.
-
-    Args:
-        name: Its name in error messages.
-        command: Command line.
-        env: Environment; None for this process's own.
-    """
-
-    def __init__(self, name: str, command: list[str], env: dict[str, str] | None = None) -> None:
-        self._name = name
-        self._process = subprocess.Popen(
-            ending_with_parent(command),
-            env=env,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> JsonProcess:
-        """Return the process."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End it if it still runs."""
-        self.stop()
-
-    def send(self, **values: object) -> None:
-        """Write one JSON object to its standard input."""
-        assert self._process.stdin is not None  # noqa: S101  (always piped)
-        self._process.stdin.write(json.dumps(values) + '\n')
-        self._process.stdin.flush()
-
-    def expect(self, key: str, timeout_s: float) -> dict[str, Any]:
-        """Return the next object that has a key.
-
-        Args:
-            key: The key.
-            timeout_s: Longest time to wait [s].
-
-        Raises:
-            GraphError: None came in time, or the process ended first.
-        """
-        deadline_s = time.monotonic() + timeout_s
-        while time.monotonic() < deadline_s:
-            ended = not self._thread.is_alive()
-            with contextlib.suppress(queue.Empty):
-                line = self._lines.get(timeout=0.1)
-                if key in line:
-                    return line
-                continue
-            if ended:
-                break
-        code = self._process.poll()
-        state = 'is still running' if code is None else f'ended with status {code}'
-        raise GraphError(f'{self._name} did not report {key!r} within {timeout_s:g} s; it {state}')
-
-    def latest(self, key: str, line: dict[str, Any]) -> dict[str, Any]:
-        """Return the newest object with a key among those received so far, or `line`."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                received = self._lines.get_nowait()
-                line = received if key in received else line
-        return line
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    def stop(self) -> None:
-        """End it: SIGTERM, then SIGKILL after a grace time. Its output can still be read."""
-        if self._process.poll() is None:
-            self._process.terminate()
-            _wait(self._process, STOP_GRACE_S)
-        self._thread.join(1.0)
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None  # noqa: S101  (always piped)
-        for line in self._process.stdout:
-            with contextlib.suppress(ValueError):
-                if isinstance(received := json.loads(line), dict):
-                    self._lines.put(received)
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
