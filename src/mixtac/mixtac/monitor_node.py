@@ -189,8 +189,7 @@ class Monitor(Receiver):
                     end_s = time.monotonic() + LOG_PATIENCE_S
                     while not (why := processes.last_error(name)) and time.monotonic() < end_s:
                         time.sleep(0.05)
-                    target = topics.absolute(name, self._namespace)
-                    raise GraphError(f'{target} could not be started: {why or "see its log"}')
+                    raise GraphError(f'{name} could not be started: {why or "see its log"}')
 
     def listen(self) -> None:
         """Subscribe and start receiving."""

@@ -52,8 +52,7 @@ class VirtualProcess:
         found = json.loads(next((each for each in lines if each.startswith('{')), '{}'))
         if not found.get('device'):
             self.close()
-            status = f'the virtual sensor ended with status {self._process.returncode}'
-            raise SensorError(str(found.get('error', status)), remedy='see what it printed')
+            raise SensorError(found.get('error') or 'the virtual sensor does not start')
         self.device = str(found['device'])
 
     def close(self) -> None:
