@@ -5,13 +5,20 @@ SHELL := /bin/bash
 PYTHON ?= python3
 export PYTHON
 
-.PHONY: demo test setup dev view lint docs clean
+.PHONY: demo test clients setup dev view lint docs clean
 
 demo:  ## set up and run the live demo on the virtual sensor
 	./mixtac demo $(ARGS)
 
 test: dev  ## set up and run all tests
 	. tools/env.sh && tools/test.sh $(ARGS)
+
+clients: dev  ## show the virtual camera to drivers of other people; needs umockdev of the system
+	$(PYTHON) -m venv .venv-clients
+	.venv-clients/bin/pip install --quiet -c constraints.txt numpy \
+		event-camera-drivers neuromorphic-drivers dv-processing
+	. tools/env.sh && MIXTAC_CLIENT_PYTHON=$(CURDIR)/.venv-clients/bin/python \
+		python -m pytest -m clients src/mixtac_sim/test/usb $(ARGS)
 
 setup:  ## environment, ROS 2, workspace; does nothing when nothing changed
 	$(PYTHON) tools/setup.py

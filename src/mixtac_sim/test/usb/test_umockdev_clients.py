@@ -27,7 +27,7 @@ from umockdev_scene import (
     SIGNAL_COLUMNS,
     make_scene,
 )
-from umockdev_session import need_umockdev, run_client
+from umockdev_session import CLIENTS, need_umockdev, run_client
 
 from mixtac_sim.usb.device import VirtualDavis346
 
@@ -53,7 +53,7 @@ def sessions(tmp_path_factory):
     return session
 
 
-@pytest.fixture(scope='module', params=['ours', 'libcaer', 'neuromorphic', 'dv'])
+@pytest.fixture(scope='module', params=CLIENTS)
 def result(request, sessions):
     """What one client saw of the one camera."""
     return sessions(request.param)
@@ -259,7 +259,7 @@ REGISTERS_UNLIKE_LIBCAER = {
 }
 
 
-@pytest.mark.parametrize('client', REGISTERS_UNLIKE_LIBCAER)
+@pytest.mark.parametrize('client', [each for each in CLIENTS if each != 'libcaer'])
 def test_registers_are_those_that_libcaer_writes(sessions, client):
     """All writable ones, biases included; that is what makes a camera see alike."""
     reference, written = sessions('libcaer').registers, sessions(client).registers

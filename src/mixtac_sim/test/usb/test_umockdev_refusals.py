@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from umockdev_session import HERE, Camera, bridged, client_python, need_umockdev
+from umockdev_session import CLIENTS, HERE, Camera, bridged, client_python, need_umockdev
 
 from mixtac_sim.usb.device import VirtualDavis346
 
@@ -65,7 +65,7 @@ def refusal(client, kind, folder):
     return said.read_text()
 
 
-@pytest.mark.parametrize('client', ['ours', 'libcaer', 'neuromorphic', 'dv'])
+@pytest.mark.parametrize('client', CLIENTS)
 @pytest.mark.parametrize(
     ('kind', 'part', 'version'), [(OtherLogic, 'logic', '17'), (OtherFirmware, 'firmware', '5')]
 )

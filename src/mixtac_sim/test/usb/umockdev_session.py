@@ -30,6 +30,12 @@ MODULES = {
     'dv': 'dv_processing',
     'libcaer': 'event_camera_drivers',
 }
+CLIENTS = [
+    'ours',
+    'libcaer',
+    pytest.param('neuromorphic', marks=pytest.mark.clients),
+    pytest.param('dv', marks=pytest.mark.clients),
+]
 LEAD_US = 100_000
 LIMIT_US = 90_000_000
 TAIL_INTERVAL_S = 0.02
