@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -35,14 +33,13 @@ def camera_on(scene, parameters=None):
 def test_events_frames_and_samples_come_out_as_they_went_in(scene):
     with camera_on(scene) as camera:
         camera.start()
-        started = time.monotonic()
         parts, frames, imu, times = [], [], [], []
         for batch in camera.batches():
             parts.append(batch.decoded.events.copy())
             frames += batch.decoded.frames
             imu.append(batch.decoded.imu)
             times.append(batch.time_us)
-            if time.monotonic() > started + 1.2:
+            if sum(map(len, parts)) > 20_000 and len(frames) > 20:
                 break
         counters, transport = camera.decoder_counters, camera.transport_counters
     got, given = Events.concatenate(parts), Events.concatenate(list(scene.given))

@@ -39,8 +39,8 @@ class _Pending:
         """The events, as views that are valid until the next call of `append` or `drop`."""
         return self._arrays[: self._count]
 
-    def append(self, events: Events) -> None:
-        """Copy events to the end."""
+    def append(self, events: Events, origin_us: int = 0) -> None:
+        """Copy events to the end, with the origin added to their times [us]."""
         count = len(events)
         if not count:
             return
@@ -48,9 +48,9 @@ class _Pending:
             waiting = self.events
             self._arrays = Events.empty(2 * (self._count + count))
             self._copy(waiting, 0)
-        start = self._count
-        self._copy(events, start)
-        self._count = start + count
+        self._copy(events, self._count)
+        self._count += count
+        self._arrays.t[self._count - count : self._count] += origin_us
 
     def drop(self, count: int) -> None:
         """Remove the first events."""
@@ -117,13 +117,17 @@ class Packetizer:
         self._taken = self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
-    def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
+    def push(
+        self, events: Events, time_us: int, arrival_ns: int, origin_us: int = 0
+    ) -> list[Packet]:
         """Add events and return the packets that are complete.
 
         Args:
-            events: Events on the camera clock [us], sorted, not before those added earlier.
-            time_us: Camera time that the stream has reached; no later event is before it.
+            events: Events on a camera clock [us], sorted, not before those added earlier.
+            time_us: Camera time that the stream has reached, origin included; no later event is
+                before it.
             arrival_ns: Host time of their arrival.
+            origin_us: Added to the times of the events.
         """
         if self._taken:
             # Only now: packets are views.
@@ -132,10 +136,10 @@ class Packetizer:
         held = len(self._pending)
         if not held:
             self._pending_arrival_ns = arrival_ns
-        self._pending.append(events)
+        self._pending.append(events, origin_us)
         closed_us = time_us // self._period_us * self._period_us
         if self._complete_us is None:
-            self._complete_us = min(closed_us, self._first_us(closed_us))
+            self._complete_us = min([closed_us, *self._pending.events.t[:1].tolist()])
         if closed_us <= self._complete_us and len(self._pending) < self._most_events:
             return []
         packets = self._cut(self._pending.events, held, closed_us, arrival_ns)
@@ -145,9 +149,6 @@ class Packetizer:
         if closed_us > self._complete_us:
             packets.append(self._packet(Events.empty(), closed_us, arrival_ns))
         return packets
-
-    def _first_us(self, otherwise: int) -> int:
-        return int(self._pending.events.t[0]) if len(self._pending) else otherwise
 
     def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
         ready = int(events.t.searchsorted(closed_us))
