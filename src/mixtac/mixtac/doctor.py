@@ -152,7 +152,7 @@ def examine(
             yield 'camera', [finding]
             if backend is not None:
                 yield 'measured', list(check_running(p, seconds, raw, backend))
-    yield 'computer', check_computer(Path.cwd(), root)
+    yield 'computer', check_computer(Path.cwd())
 
 
 def table(section: str, findings: list[Finding]) -> Table:

@@ -19,16 +19,11 @@ from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.decode.state import DecoderCounters
-from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
+from mixtac_driver.device import DATA_ENDPOINT, Connection
 from mixtac_driver.errors import DriverError, HungReadError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
-from mixtac_driver.usb.transport import (
-    BulkReader,
-    Gap,
-    Transfer,
-    TransportCounters,
-)
+from mixtac_driver.usb.transport import BulkReader, Gap, Transfer, TransportCounters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,10 +194,6 @@ class Davis346:
             },
         )
 
-    def attached(self) -> frozenset[tuple[int, int]]:
-        """Return bus and address of every camera that could be opened."""
-        return attached_cameras(self._p.device, self._backend)
-
     def open(self) -> None:
         """Find, claim, identify and configure the camera.
 
@@ -345,21 +336,11 @@ class Davis346:
 
     def _make_reader(self, connection: Connection) -> AsynchronousReader | BulkReader:
         """Return a reader of the data: asynchronous through libusb, else one read at a time."""
-        p, port = self._p, connection.libusb_port()
+        port, clear_halt = connection.libusb_port(), connection.clear_halt
         if port is None:
-            return BulkReader(
-                partial(connection.read, DATA_ENDPOINT),
-                connection.clear_halt,
-                transfer_size=p.usb_transfer_size,
-            )
-        return AsynchronousReader(
-            port,
-            DATA_ENDPOINT,
-            connection.clear_halt,
-            transfers=p.usb_transfers,
-            transfer_size=p.usb_transfer_size,
-            queue_size=p.usb_queue_size,
-        )
+            return BulkReader(partial(connection.read, DATA_ENDPOINT), clear_halt)
+        transfers = self._p.usb_transfers
+        return AsynchronousReader(port, DATA_ENDPOINT, clear_halt, transfers=transfers)
 
     def _decode(
         self,
@@ -369,7 +350,8 @@ class Davis346:
         transfer: Transfer,
     ) -> Iterator[CameraBatch]:
         origin_before, came, was_reset = epochs.origin, False, False
-        for batch in self._batches_of(decoder, transfer):
+        how: dict[str, Any] = {'short_packet': transfer.short_packet, 'gap': transfer.gap}
+        for batch in decoder.push(transfer.data, until_us=self._due_us, **how):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
             if origin is None:
                 continue
@@ -388,17 +370,6 @@ class Davis346:
             self.is_master = read_is_master(connection.protocol)
         if came:
             self.clock.add(decoder.time_us, transfer.arrival_ns)
-
-    def _batches_of(self, decoder: StreamDecoder, transfer: Transfer) -> Iterator[DecodedBatch]:
-        if transfer.gap.size:
-            if decoder.waiting:
-                yield from decoder.push(b'')
-            decoder.skip(transfer.gap)
-            if transfer.gap.resets:
-                self._due_us = 0
-        yield from decoder.push(
-            transfer.data, short_packet=transfer.short_packet, until_us=self._due_us
-        )
 
     def _sleep(self) -> None:
         """Sleep while what is due cannot have arrived yet."""

@@ -309,29 +309,42 @@ class CalibratedCamera:
 
     Args:
         parameters: Location and use of the calibration.
-        size: Columns and rows of the camera.
 
     Attributes:
         path: File of the calibration, whether or not it exists.
         calibration: The calibration, or None.
 
     Raises:
-        CalibrationError: The file is damaged or of a camera of another size, or missing although
-            undistortion is enabled.
+        CalibrationError: The file is damaged, or missing although undistortion is enabled.
     """
 
-    def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
-        self._p, self._size = parameters, size
+    def __init__(self, parameters: DeviceParameters) -> None:
+        self._p = parameters
+        self._size: tuple[int, int] | None = None
         self._table: NDArray[np.int32] | None = None
         self.calibration: CameraCalibration | None = None
         self.path: Path = resolve(parameters.camerainfo_url, parameters.camera_name)
         if self.path.exists():
-            self._use(read_camera_info(self.path))
+            self.calibration = read_camera_info(self.path)
         elif parameters.undistort_events:
             raise CalibrationError(
                 f'undistortion needs a calibration, and {self.path} does not exist',
                 remedy='write it with `mixtac calibrate`, or set camerainfo_url',
             )
+
+    def use_size(self, size: tuple[int, int]) -> None:
+        """Check the calibration against a camera that was opened, and prepare undistortion.
+
+        Args:
+            size: Columns and rows of the camera.
+
+        Raises:
+            CalibrationError: It is of a camera of another size.
+        """
+        if self.calibration is not None and size != self._size:
+            self._check_size(self.calibration, size)
+            self._use(self.calibration)
+        self._size = size
 
     def describe(self) -> str:
         """Return one line for the log: the calibration in use, or that there is none."""
@@ -376,23 +389,24 @@ class CalibratedCamera:
             rectification=np.array(info.r, np.float64).reshape(3, 3),
             projection=np.array(info.p, np.float64).reshape(3, 4),
         )
-        self._check_size(calibration)
+        if self._size is None:
+            raise CalibrationError('no camera was opened yet', remedy='attach it and try again')
+        self._check_size(calibration, self._size)
         write_camera_info(self.path, calibration)
         self._use(calibration)
         return self.path
 
     def _use(self, calibration: CameraCalibration) -> None:
-        self._check_size(calibration)
         if self._p.undistort_events:
             self._table = undistortion_table(calibration)
             self.undistort(Events.empty())  # compile before the first events arrive
         self.calibration = calibration
 
-    def _check_size(self, calibration: CameraCalibration) -> None:
-        if calibration.size != self._size:
+    def _check_size(self, calibration: CameraCalibration, size: tuple[int, int]) -> None:
+        if calibration.size != size:
             raise CalibrationError(
                 f'calibration for {calibration.width}x{calibration.height} px, this camera has '
-                f'{self._size[0]}x{self._size[1]}',
+                f'{size[0]}x{size[1]}',
                 remedy='calibrate this camera, or name its file in camerainfo_url',
             )
 

@@ -32,48 +32,6 @@ class Origin:
 
 JUMP_US = 1_000_000
 """Largest plausible lead [us]; real cameras were measured to gain at most 100 us per second."""
-
-
-class JumpGuard:
-    """Compares time in the stream with the time of its arrival.
-
-    Data can arrive late, but never early. The smallest delay is therefore a floor that only moves
-    slowly, with the difference in rate of the two clocks; data below it carry a damaged time, as
-    after one wrong time wrap.
-    """
-
-    def __init__(self) -> None:
-        self._floor_us = 0.0
-
-    def restart(self, uncertainty_us: float) -> None:
-        """Start again after a reset of the camera's clock.
-
-        Args:
-            uncertainty_us: Uncertainty of the host time of that reset [us].
-        """
-        self._floor_us = -uncertainty_us
-
-    def check(self, time_us: int, arrival_us: int) -> None:
-        """Check a stretch of the stream.
-
-        Args:
-            time_us: Time it reached [us, epoch-based camera clock].
-            arrival_us: Host time of its arrival [us since the Unix epoch].
-
-        Raises:
-            StreamError: The time is damaged.
-        """
-        late_us = arrival_us - time_us
-        if late_us < self._floor_us - JUMP_US:
-            ahead_s = (self._floor_us - late_us) / 1e6
-            raise StreamError(
-                f'the camera clock jumped {ahead_s:.1f} s ahead: damaged data, or the host clock '
-                'was set back',
-                remedy='none needed: the camera is restarted',
-            )
-        self._floor_us = min(self._floor_us, late_us)
-
-
 CONFIRMATION_NS = 1_000_000_000
 """A requested reset appears in the stream within this time."""
 
@@ -84,6 +42,10 @@ class ClockEpochs:
     The first reset that arrives after a request is the one whose host time was measured, the next
     one that of the next request. Others come from the synchronisation cable or from the camera
     itself; their host time is estimated from their arrival.
+
+    Data can arrive late, but never early. The smallest delay is therefore a floor that only moves
+    slowly, with the difference in rate of the two clocks; data below it carry a damaged time, as
+    after one wrong time wrap.
 
     Args:
         asked: Host time of the requested reset.
@@ -101,7 +63,7 @@ class ClockEpochs:
         self._origin = asked
         self._delay_us = delay_us
         self._confirmed = False
-        self._guard = JumpGuard()
+        self._floor_us = 0.0
         self._resets = 0
         self._pending: deque[Origin] = deque()
         self._asking = threading.Lock()
@@ -142,8 +104,17 @@ class ClockEpochs:
         self._resets = resets
         if not self._confirmed:
             return None
-        self._guard.check(time_us + self._origin.us, arrival_ns // 1000)
-        self.latest_us = max(self.latest_us, time_us + self._origin.us)
+        reached_us = time_us + self._origin.us
+        late_us = arrival_ns // 1000 - reached_us
+        if late_us < self._floor_us - JUMP_US:
+            ahead_s = (self._floor_us - late_us) / 1e6
+            raise StreamError(
+                f'the camera clock jumped {ahead_s:.1f} s ahead: damaged data, or the host clock '
+                'was set back',
+                remedy='none needed: the camera is restarted',
+            )
+        self._floor_us = min(self._floor_us, late_us)
+        self.latest_us = max(self.latest_us, reached_us)
         return self._origin
 
     def _reset(self, time_us: int, arrival_ns: int) -> None:
@@ -187,4 +158,4 @@ class ClockEpochs:
         late_us = max(self.latest_us + 1 - wanted_us, 0)
         uncertainty_ns = round((uncertainty_us + late_us) * 1000)
         self._origin = Origin((wanted_us + late_us) * 1000, uncertainty_ns)
-        self._guard.restart(uncertainty_us + late_us)
+        self._floor_us = -(uncertainty_us + late_us)

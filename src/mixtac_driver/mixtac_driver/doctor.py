@@ -16,7 +16,7 @@ import subprocess
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 from mixtac_core.events.clock_map import ClockEstimate
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import Frame
-from mixtac_driver.camera import LOSSES, Davis346
+from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.model import Identity, camera_models
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.usb.transport import TransportCounters
 
 Value = str | int | float | bool | None
 ROOT = Path('/')
@@ -109,30 +108,8 @@ def read_text(path: Path) -> str:
         return ''
 
 
-SLOW_GOVERNORS = frozenset({'powersave', 'ondemand', 'conservative'})
-OWN_GOVERNOR = frozenset({'intel_pstate', 'amd-pstate-epp'})
-"""Drivers whose `powersave` lets the processor run at full speed."""
-LEAST_CORES = 2
 LEAST_DISK_GB = 10.0
-
-
-def check_processor(root: Path = ROOT) -> Finding:
-    """Check the number of cores and their frequency governor."""
-    cores, cpus = len(os.sched_getaffinity(0)), root / 'sys/devices/system/cpu'
-    governors = {read_text(path) for path in cpus.glob('cpu[0-9]*/cpufreq/scaling_governor')}
-    own = read_text(cpus / 'cpu0/cpufreq/scaling_driver') in OWN_GOVERNOR
-    listed = ', '.join(sorted(governors)) or 'not visible'
-    return judge(
-        'processor',
-        f'{cores} cores, frequency governor {listed}',
-        {'cores': cores, 'governor': listed},
-        (cores < LEAST_CORES, Level.WARN, 'give the process two cores: USB and decoding'),
-        (
-            bool(governors & SLOW_GOVERNORS) and not own,
-            Level.WARN,
-            'for steady latency: sudo cpupower frequency-set -g performance',
-        ),
-    )
+"""Least free space for a recording [GB]."""
 
 
 def check_disk(folder: Path) -> Finding:
@@ -157,9 +134,9 @@ def check_clock() -> Finding:
     return judge('real-time clock', found, {}, (answer == 'no', Level.WARN, remedy))
 
 
-def check_computer(folder: Path, root: Path = ROOT) -> list[Finding]:
+def check_computer(folder: Path) -> list[Finding]:
     """Return all findings about the computer; recordings would be written to the folder."""
-    return [check_processor(root), check_disk(folder), check_clock()]
+    return [check_disk(folder), check_clock()]
 
 
 DEVICES = 'sys/bus/usb/devices'
@@ -266,8 +243,8 @@ class Measurement:
         frames: Number of frames.
         samples: Number of inertial samples.
         size: Bytes over USB.
-        losses: Decoder counters that stay at zero on an intact stream, by name, if not zero.
-        transport: Counters of the USB reader.
+        losses: Data lost or damaged, by kind, as on `/diagnostics`.
+        stalls: Stalls of the data endpoint.
         clock: The map from the camera's clock to the host's, or None without data.
         clock_resets: Resets of the camera's clock that the driver did not request.
         latest: Latest frames.
@@ -280,8 +257,8 @@ class Measurement:
     frames: int = 0
     samples: int = 0
     size: int = 0
-    losses: dict[str, int] = field(default_factory=dict)
-    transport: TransportCounters = field(default_factory=TransportCounters)
+    losses: Mapping[str, int] = field(default_factory=dict)
+    stalls: int = 0
     clock: ClockEstimate | None = None
     clock_resets: int = 0
     latest: deque[Frame] = field(default_factory=lambda: deque(maxlen=LATEST_FRAMES))
@@ -345,10 +322,9 @@ def measure(camera: Davis346, seconds: float) -> Measurement:
         result.seconds = (batch.time_us - began_us) / 1e6
         if result.elapsed_s >= seconds:
             break
-    result.transport, decoder = camera.transport_counters, camera.decoder_counters
-    result.size = result.transport.size - size_before
-    counted = asdict(decoder) if decoder else {}
-    result.losses = {name: counted[name] for name in LOSSES if counted.get(name)}
+    result.size = camera.transport_counters.size - size_before
+    result.stalls = camera.transport_counters.stalls
+    result.losses = camera.status().losses
     result.clock = camera.clock.estimate() if camera.clock.ready else None
     result.clock_resets = camera.clock_resets
     camera.stop()
@@ -410,7 +386,7 @@ def check_identity(identity: Identity) -> Finding:
         'chip': identity.chip,
         'firmware': firmware,
         'logic': logic,
-        'color_filter': identity.features.color_filter,
+        'color_filter': identity.color_filter,
         'imu_type': identity.imu_type,
         'master': identity.is_master,
     }
@@ -420,14 +396,8 @@ def check_identity(identity: Identity) -> Finding:
 def check_measurement(r: Measurement, p: CameraParameters, identity: Identity) -> list[Finding]:
     """Compare a measurement with the settings."""
     rate, uncovered = r.rate(r.events), 'take the lens cap off and move something in view'
-    findings = [
-        judge(
-            'events',
-            f'{rate:,.0f} /s',
-            {'events [1/s]': round(rate, 1)},
-            (not r.events, Level.WARN, uncovered),
-        )
-    ]
+    values, problem = {'events [1/s]': round(rate, 1)}, (not r.events, Level.WARN, uncovered)
+    findings = [judge('events', f'{rate:,.0f} /s', values, problem)]
     if identity.model.has_frames:
         wanted = 1e6 / max(p.aps_frame_interval, p.aps_exposure, 1)
         findings.append(_check_rate('frames', r, r.frames, wanted))
@@ -450,23 +420,16 @@ def _check_rate(name: str, r: Measurement, count: int, wanted: float) -> Finding
 
 
 def _check_losses(r: Measurement) -> Finding:
-    dropped, behind_s = r.transport.dropped_transfers, r.elapsed_s - r.seconds
-    values: dict[str, Value] = {
-        **r.losses,
-        'usb [MB/s]': round(r.size / max(r.elapsed_s, 1e-9) / 1e6, 3),
-        'transfers_dropped': dropped,
-        'stalls': r.transport.stalls,
-        'behind [s]': round(behind_s, 3),
-    }
-    listed = [f'{n} {name.replace("_", " ")}' for name, n in r.losses.items()]
-    listed += [f'{dropped} transfers dropped'] if dropped else []
-    listed += [f'{r.transport.stalls} stalls'] if r.transport.stalls else []
-    listed += [f'decoding is {behind_s:.1f} s behind'] if behind_s > MOST_BEHIND_S else []
+    counts, behind_s = {**r.losses, 'usb stalls': r.stalls}, r.elapsed_s - r.seconds
+    busy = behind_s > MOST_BEHIND_S
+    listed = [f'{count} {name}' for name, count in counts.items() if count]
+    listed += [f'decoding is {behind_s:.1f} s behind'] if busy else []
+    rate = r.size / max(r.elapsed_s, 1e-9) / 1e6
     return judge(
         'losses',
         ', '.join(listed) or 'none',
-        values,
-        (bool(dropped) or behind_s > MOST_BEHIND_S, Level.WARN, BUSY),
+        {**counts, 'usb [MB/s]': round(rate, 3), 'behind [s]': round(behind_s, 3)},
+        (busy or bool(counts.get('usb transfers dropped')), Level.WARN, BUSY),
         (bool(listed), Level.WARN, CABLE),
     )
 

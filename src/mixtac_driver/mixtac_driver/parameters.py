@@ -7,30 +7,16 @@ Names follow libcaer_driver where the meaning is the same.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from enum import Enum
 
+from mixtac_core.node.files import state_file
 from mixtac_core.node.parameters import fixed, parameter
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import ConfigurationError
 
-
-class RecoveryPolicy(str, Enum):
-    """Reaction to a failure.
-
-    Attributes:
-        RECONNECT: Open the camera again, with growing pauses, until it is back.
-        FAIL_STOP: End with the reason; a camera that was never there is still waited for.
-    """
-
-    RECONNECT = 'reconnect'
-    FAIL_STOP = 'fail_stop'
-
-
-USB_PACKET = 1024
-"""Largest packet of the data endpoint [bytes]: reads of other sizes end within one."""
-MOST_QUEUED = 256 << 20
-"""Limit of the memory of all USB reads that are queued [bytes]."""
+FRAME = r'[\w-]+(/[\w-]+)*'
+"""Pattern of the name of a frame; tf2 refuses a leading slash."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +33,10 @@ class DeviceParameters:
         imu_frame_id: Frame of inertial samples
         stream_timeout: Time without any data after which the stream counts as dead; a camera sends
             its time every 33 ms even in the dark
-        usb_transfers: Number of USB reads queued at the camera
-        usb_transfer_size: Size of a USB read, a multiple of 1024; those queued may hold 256 MiB
-        usb_queue_size: Limit of received data waiting to be decoded; at least one USB read
-        recovery_policy: Reaction to a camera failure: reconnect opens the camera again until it is
-            back; fail_stop ends the driver with the reason and exit status 1
-        recovery_first_pause: Pause before the first attempt to reconnect
-        recovery_longest_pause: Longest pause between attempts to reconnect; each pause is twice as
-            long as the previous one. Plugging in a camera ends the pause
-        recovery_give_up_after: Time without a stream after which the driver ends as with fail_stop;
-            0: never
+        usb_transfers: Number of USB reads of 64 KiB queued at the camera; fewer where the kernel
+            has no room for those of several cameras
+        recovery_give_up_after: Time without a stream after which the driver ends with the reason
+            and exit status 1; 0: it tries to reconnect until it is stopped
         camera_name: Name of the camera in its calibration: letters, digits and _
         camerainfo_url: Calibration written by `mixtac calibrate`: file:///path,
             package://name/path or a path, where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros
@@ -72,13 +52,6 @@ class DeviceParameters:
     imu_frame_id: str = fixed('imu')
     stream_timeout: float = fixed(3.0, unit='s', within=(0.1, 3600.0))
     usb_transfers: int = fixed(128, within=(1, 1024))
-    usb_transfer_size: int = fixed(65536, unit='bytes', within=(USB_PACKET, 1 << 22))
-    usb_queue_size: int = fixed(32 << 20, unit='bytes', within=(1 << 16, 1 << 30))
-    recovery_policy: str = fixed(
-        RecoveryPolicy.RECONNECT.value, choices=tuple(policy.value for policy in RecoveryPolicy)
-    )
-    recovery_first_pause: float = fixed(0.05, unit='s', within=(0.01, 60.0))
-    recovery_longest_pause: float = fixed(0.5, unit='s', within=(0.01, 600.0))
     recovery_give_up_after: float = fixed(0.0, unit='s', within=(0.0, 86_400.0))
     camera_name: str = fixed('davis346')
     camerainfo_url: str = fixed('')
@@ -123,22 +96,27 @@ class DriverParameters(CameraParameters, PlaybackParameters, DeviceParameters):
     """All parameters: what to open, how to run it, and how to publish its data."""
 
     def check(self) -> None:
-        """Raise if a value is out of range, or if values contradict each other.
+        """Raise if a value is out of range, names no frame or file, or contradicts another.
 
         Raises:
-            ConfigurationError: Two values contradict each other, or reads of this size cannot be.
+            ConfigurationError: Two values contradict each other, or one names no frame or mask.
+            FileError: `hot_pixels_file` is not the name of a file in the state folder.
             ParameterError: A value is out of range.
         """
         super().check()
-        size, transfers, queue = self.usb_transfer_size, self.usb_transfers, self.usb_queue_size
-        if size % USB_PACKET:
-            raise ConfigurationError(f'usb_transfer_size = {size}: give a multiple of {USB_PACKET}')
-        if queue < size:
+        for name in ('camera_frame_id', 'imu_frame_id'):
+            if not re.fullmatch(FRAME, getattr(self, name)):
+                raise ConfigurationError(
+                    f'{name} = {getattr(self, name)!r}: give a frame such as left/camera, of '
+                    'letters, digits, _ and - between single slashes'
+                )
+        if not re.fullmatch(r'\w+', self.camera_name):
             raise ConfigurationError(
-                f'usb_queue_size = {queue}: give at least usb_transfer_size = {size}'
+                f'camera_name = {self.camera_name!r}: use letters, digits and _ only'
             )
-        if transfers * size > MOST_QUEUED:
-            raise ConfigurationError(
-                f'usb_transfers = {transfers} of usb_transfer_size = {size}: give at most '
-                f'{MOST_QUEUED} bytes in all, such as usb_transfers = {MOST_QUEUED // size}'
-            )
+        if self.hot_pixels_file:
+            state_file(self.hot_pixels_file)
+            if not self.hot_pixels_file.endswith('.png'):
+                raise ConfigurationError(
+                    f'hot_pixels_file = {self.hot_pixels_file!r}: give a name that ends with .png'
+                )

@@ -125,16 +125,15 @@ def load_mask(path: str) -> PixelMask:
     return PixelMask(_brightest_first(image, image > 0), (image.shape[1], image.shape[0]))
 
 
-def check_path(path: str) -> None:
-    """Raise if `save_mask` cannot write to a path.
+def save_mask(mask: PixelMask, path: str) -> None:
+    """Write a mask to a PNG file, whole or not at all; makes the folder.
 
     Raises:
-        ConfigurationError: It is not a PNG file, or another file than a mask is there.
+        ConfigurationError: Another file than a mask is there.
+        FileError: The file cannot be written.
     """
-    if not path.endswith('.png'):
-        raise ConfigurationError(
-            f'pixel mask {path!r} cannot be written', remedy='give a name that ends with .png'
-        )
+    import cv2
+
     if Path(path).exists():
         try:
             load_mask(path)
@@ -142,17 +141,6 @@ def check_path(path: str) -> None:
             raise ConfigurationError(
                 f'{path!r} is not a pixel mask and stays as it is', remedy='give another name'
             ) from error
-
-
-def save_mask(mask: PixelMask, path: str) -> None:
-    """Write a mask to a PNG file, whole or not at all; makes the folder.
-
-    Raises:
-        ConfigurationError: Another file than a mask is there, or it is not named as a PNG.
-        FileError: The file cannot be written.
-    """
-    check_path(path)
-    import cv2
 
     image = np.zeros(mask.size[::-1], np.uint8)
     for index, (column, row) in enumerate(mask.pixels):
@@ -216,6 +204,10 @@ def _brightest_first(values: NDArray[Any], chosen: NDArray[np.bool_]) -> list[Pi
 AROUND = np.ones((5, 5), np.bool_)
 AROUND[2, 2] = False
 """Neighbours of a pixel: the 24 around it."""
+LEAST_RATE_HZ = 10.0
+"""Lowest event rate of a hot pixel [1/s]."""
+FACTOR = 10.0
+"""A hot pixel has at least this many times the events of the pixel it is compared with."""
 RANK = -4
 """The fourth noisiest of the neighbours is what a pixel is compared with."""
 FEWEST_EVENTS = 10
@@ -258,23 +250,20 @@ class PixelCounter:
             self.done.set()
 
 
-def hot_pixels(
-    counts: NDArray[np.int64], duration_s: float, minimum_rate_hz: float, factor: float
-) -> list[Pixel]:
+def hot_pixels(counts: NDArray[np.int64], duration_s: float) -> list[Pixel]:
     """Return the hot pixels as (column, row), the noisiest first.
+
+    At the border of the array, the mirrored neighbours count as well: a line of a scene that ends
+    there would be hot otherwise, and hot neighbours hide each other.
 
     Args:
         counts: `int64` [rows, columns], events per pixel.
         duration_s: Time over which they were counted [s].
-        minimum_rate_hz: Lowest event rate of a hot pixel [1/s].
-        factor: A hot pixel has at least this many times the events of the fourth noisiest pixel
-            around it. At the border of the array, the mirrored neighbours count as well: a line of
-            a scene that ends there would be hot otherwise, and hot neighbours hide each other.
     """
     # Slow to import, and the driver starts without it.
     from scipy.ndimage import rank_filter
 
     around = rank_filter(counts.astype(np.float64), RANK, footprint=AROUND, mode='mirror')
-    limit = np.maximum(factor * around, around + SIGMAS * np.sqrt(around))
-    fewest = max(minimum_rate_hz * duration_s, FEWEST_EVENTS)
+    limit = np.maximum(FACTOR * around, around + SIGMAS * np.sqrt(around))
+    fewest = max(LEAST_RATE_HZ * duration_s, FEWEST_EVENTS)
     return _brightest_first(counts, (counts > limit) & (counts >= fewest))

@@ -34,7 +34,7 @@ from mixtac_core.recordings.recording import (
 from mixtac_driver.camera import CameraBatch, SourceStatus
 from mixtac_driver.clock import Origin
 from mixtac_driver.davis346.control import PixelFilter
-from mixtac_driver.davis346.model import DAVIS346, Clocks, Features, Geometry, Identity
+from mixtac_driver.davis346.model import DAVIS346, Clocks, Geometry, Identity
 from mixtac_driver.errors import EndOfStream
 from mixtac_driver.parameters import DriverParameters
 
@@ -198,7 +198,7 @@ def replayed_identity(info: RecordingInfo) -> Identity:
         ),
         imu_type=0,
         imu_flips=(False, False, False),
-        features=Features(color_filter=info.color_filter),
+        color_filter=info.color_filter,
     )
 
 
@@ -270,10 +270,6 @@ class RecordedSource:
             'packets missing in the recording': self._counters.packets_missing,
             'clock resets': line.resets,
         }
-
-    def attached(self) -> frozenset[tuple[int, int]]:
-        """Return no cameras."""
-        return frozenset()
 
     def open(self) -> None:
         """Open the recording.

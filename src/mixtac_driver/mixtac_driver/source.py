@@ -27,9 +27,6 @@ class Source(Protocol):
     def status(self) -> SourceStatus:
         """Return its state, open or not."""
 
-    def attached(self) -> frozenset[tuple[int, int]]:
-        """Return bus and address of every camera that could be opened."""
-
     def open(self) -> None:
         """Open it.
 

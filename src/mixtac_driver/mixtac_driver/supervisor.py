@@ -14,12 +14,15 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.errors import DriverError, EndOfStream, HungReadError
-from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.source import Source
 
 STOP_TIMEOUT_S = 8.0
-WATCH_S = 0.2
-"""Period of checking whether a camera was plugged in [s]."""
+"""Longest wait for the thread to end [s]."""
+FIRST_PAUSE_S = 0.05
+"""Pause before the first attempt to reconnect [s]; each pause is twice as long as the previous."""
+LONGEST_PAUSE_S = 0.2
+"""Longest pause between attempts to reconnect [s]."""
 REPORT_AFTER_S = 0.7
 """Delay of reporting a failure [s], longer than signals take to reach all nodes of a launch."""
 REPORT_ABSENCE_AFTER_S = 30.0
@@ -41,11 +44,12 @@ class Supervisor:
     """Runs a source in a thread of its own until it is stopped, ends, or is given up.
 
     Failures are reported with a delay: an ordered end, in which the camera may go away first, and
-    a start in which it comes last are no failures.
+    a start in which it comes last are no failures. What is reported last is the present state: an
+    outage that ended is reported before the start of the next stream.
 
     Args:
         source: The source; may be open already.
-        parameters: How to react to failures (`recovery_*`).
+        parameters: When to give up (`recovery_give_up_after`).
         on_start: Called in the thread whenever a stream starts, before its first batch.
         on_batch: Called in the thread with every batch.
         on_error: Called in the thread with one line when the source could not be opened or its
@@ -80,12 +84,12 @@ class Supervisor:
         self.finished = threading.Event()
         self.failure: MixtacError | None = None
         self._source = source
-        self._p = p = parameters or DriverParameters()
+        self._p = parameters or DriverParameters()
         self._on_start, self._on_batch, self._on_error = on_start, on_batch, on_error
-        self._first_pause_s = min(p.recovery_first_pause, p.recovery_longest_pause)
-        self._next_pause_s = self._first_pause_s
-        self._reported: set[type[MixtacError]] = set()
-        self._to_report: list[str] = []
+        self._pause_s = FIRST_PAUSE_S
+        # Since the latest stream: the first error of each kind, and how many were reported.
+        self._errors: dict[type[MixtacError], str] = {}
+        self._reported = 0
         self._report_due_s = 0.0
         self._was_open = source.status().is_open
         self._has_streamed = False
@@ -120,38 +124,34 @@ class Supervisor:
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                self._stream_until_failure()
+                self._attempt()
                 self._pause()
             self.state = State.STOPPED
         except EndOfStream:
             self.state, self.error = State.ENDED, ''
-        except MixtacError as error:
+        except Exception as error:  # noqa: BLE001 - a dead thread would look like a quiet scene
             if self._stopping.is_set():
                 self.state = State.STOPPED
             else:
-                self.failure, self.state = error, State.FAILED
-        except Exception as error:  # noqa: BLE001 - as above, and closing failed as well
-            self.error = f'defect in the driver: {error!r}'
-            self.failure, self.state = DriverError(self.error), State.FAILED
+                self.failure, self.state = _named(error), State.FAILED
+                self.error = str(self.failure)
         finally:
             self.finished.set()
 
-    def _stream_until_failure(self) -> None:
-        """Open and stream.
+    def _attempt(self) -> None:
+        """Open the source and stream until that fails.
 
         Raises:
             EndOfStream: The source has no more data.
-            MixtacError: According to the policy, the failure is the end.
+            MixtacError: Opening it again does not help.
         """
         self.state = State.CONNECTING
         try:
             self._stream()
-        except EndOfStream:
+        except (EndOfStream, RecordingError, HungReadError):
             raise
-        except MixtacError as error:
-            self._fail(error)
-        except Exception as error:  # noqa: BLE001 - a dead thread would look like a quiet scene
-            self._fail(DriverError(f'defect in the driver: {error!r}'))
+        except Exception as error:  # noqa: BLE001 - it is reported, and the source reopened
+            self._note_failure(_named(error))
         finally:
             self._source.close()
 
@@ -161,70 +161,60 @@ class Supervisor:
         self._was_open = True
         self._source.start()
         began_s = time.monotonic()
-        self._on_start()
         for batch in self._source.batches():
-            self._note_batch(began_s)
+            now_s = time.monotonic()
+            if self.state is not State.STREAMING:
+                self._note_start(now_s)
+            # A stream that dies at once again and again must not be opened without pause.
+            if now_s - began_s > LONGEST_PAUSE_S:
+                self._pause_s = FIRST_PAUSE_S
+            self._heard_s = now_s
             self._on_batch(batch)
 
-    def _note_batch(self, began_s: float) -> None:
-        now_s = time.monotonic()
-        if self.state is not State.STREAMING:
-            if self._has_streamed:
-                self.reconnects += 1
-                self.outage_s = now_s - self._heard_s
-                self._report()
-            self._has_streamed = True
-            self.state, self.error = State.STREAMING, ''
-            self._reported.clear()
-            self._to_report.clear()
-        # A stream that dies at once again and again must not be opened without pause.
-        if now_s - began_s > self._p.recovery_longest_pause:
-            self._next_pause_s = self._first_pause_s
-        self._heard_s = now_s
+    def _note_start(self, now_s: float) -> None:
+        if self._has_streamed:
+            self._report()
+        self._on_start()
+        if self._has_streamed:
+            self.reconnects += 1
+            self.outage_s = now_s - self._heard_s
+        self._has_streamed = True
+        self.state, self.error = State.STREAMING, ''
+        self._errors.clear()
+        self._reported = 0
 
-    def _fail(self, error: MixtacError) -> None:
+    def _note_failure(self, error: MixtacError) -> None:
         self.failures += 1
         self.failures_by_kind[type(error).__name__] += 1
         self.error = str(error)
-        if type(error) not in self._reported:
-            self._reported.add(type(error))
-            if not self._to_report:
-                delay_s = REPORT_AFTER_S if self._was_open else REPORT_ABSENCE_AFTER_S
-                self._report_due_s = time.monotonic() + delay_s
-            self._to_report.append(self.error)
-        fail_stop = self._p.recovery_policy == RecoveryPolicy.FAIL_STOP.value and self._was_open
-        if fail_stop or isinstance(error, (RecordingError, HungReadError)):
-            self._report()
-            raise error
-
-    def _report_if_due(self) -> None:
-        if time.monotonic() >= self._report_due_s:
-            self._report()
+        if self._reported == len(self._errors):
+            delay_s = REPORT_AFTER_S if self._was_open else REPORT_ABSENCE_AFTER_S
+            self._report_due_s = time.monotonic() + delay_s
+        self._errors.setdefault(type(error), self.error)
 
     def _report(self) -> None:
-        lines, self._to_report = self._to_report, []
+        lines = [*self._errors.values()][self._reported :]
+        self._reported = len(self._errors)
         if not self._stopping.is_set():
             for line in lines:
                 self._on_error(line)
 
     def _pause(self) -> None:
-        """Wait for the pause to pass, or for a camera to be plugged in, unless patience is over."""
+        """Wait, unless it is time to give up."""
         if self._stopping.is_set():
             return
         quiet_s = self.quiet_s
         if 0 < self._p.recovery_give_up_after <= quiet_s:
             raise DriverError(f'no stream for {quiet_s:.0f} s, giving up: {self.error}')
         self.state = State.WAITING
-        self._report_if_due()
-        before = self._source.attached()
-        until_s = time.monotonic() + self._next_pause_s
-        self._next_pause_s = min(2 * self._next_pause_s, self._p.recovery_longest_pause)
-        while (left_s := until_s - time.monotonic()) > 0:
-            if self._stopping.wait(min(left_s, WATCH_S)):
-                return
-            self._report_if_due()
-            now = self._source.attached()
-            if now - before:
-                self._next_pause_s = self._first_pause_s
-                return
-            before = now
+        if time.monotonic() >= self._report_due_s:
+            self._report()
+        self._stopping.wait(self._pause_s)
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+
+
+def _named(error: Exception) -> MixtacError:
+    """Return an error as one that users may see; others are defects."""
+    return (
+        error if isinstance(error, MixtacError) else DriverError(f'defect in the driver: {error!r}')
+    )

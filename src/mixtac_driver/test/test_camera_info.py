@@ -215,7 +215,9 @@ def test_events_keep_their_order_and_outside_ones_are_dropped(tmp_path):
     events = Events(np.arange(n), x, y, rng.integers(0, 2, n).astype(bool))
     write_camera_info(path, calibration())
     p = DriverParameters(camerainfo_url=str(path), undistort_events=True)
-    out = CalibratedCamera(p, (WIDTH, HEIGHT)).undistort(events)
+    camera = CalibratedCamera(p)
+    camera.use_size((WIDTH, HEIGHT))
+    out = camera.undistort(events)
     places = undistortion_table(calibration())[y, x]
     assert 0 < len(out) < n
     np.testing.assert_array_equal(out.t, events.t[places >= 0])
@@ -226,8 +228,9 @@ def test_events_keep_their_order_and_outside_ones_are_dropped(tmp_path):
 def test_a_camera_of_another_size_is_refused_naming_both_sizes(tmp_path):
     path = tmp_path / 'camera.yaml'
     write_camera_info(path, calibration(width=240, height=180))
+    camera = CalibratedCamera(DriverParameters(camerainfo_url=str(path)))
     with pytest.raises(CalibrationError) as caught:
-        CalibratedCamera(DriverParameters(camerainfo_url=str(path)), (WIDTH, HEIGHT))
+        camera.use_size((WIDTH, HEIGHT))
     assert '240x180' in str(caught.value)
     assert f'{WIDTH}x{HEIGHT}' in str(caught.value)
 
@@ -235,4 +238,4 @@ def test_a_camera_of_another_size_is_refused_naming_both_sizes(tmp_path):
 def test_undistortion_without_a_calibration_is_refused(tmp_path):
     parameters = DriverParameters(camerainfo_url=str(tmp_path / 'none.yaml'), undistort_events=True)
     with pytest.raises(CalibrationError):
-        CalibratedCamera(parameters, (WIDTH, HEIGHT))
+        CalibratedCamera(parameters)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -35,14 +33,13 @@ def camera_on(scene, parameters=None):
 def test_events_frames_and_samples_come_out_as_they_went_in(scene):
     with camera_on(scene) as camera:
         camera.start()
-        started = time.monotonic()
         parts, frames, imu, times = [], [], [], []
         for batch in camera.batches():
             parts.append(batch.decoded.events.copy())
             frames += batch.decoded.frames
             imu.append(batch.decoded.imu)
             times.append(batch.time_us)
-            if time.monotonic() > started + 1.2:
+            if sum(map(len, parts)) > 20_000 and len(frames) > 20:
                 break
         counters, transport = camera.decoder_counters, camera.transport_counters
     got, given = Events.concatenate(parts), Events.concatenate(list(scene.given))
@@ -50,15 +47,15 @@ def test_events_frames_and_samples_come_out_as_they_went_in(scene):
     # The reset of the camera's clock leaves one unknown: where in the scene it happened.
     first = next(
         k
-        for k in range(len(given) - 200)
-        if (given.x[k : k + 200] == got.x[:200]).all()
-        and (given.y[k : k + 200] == got.y[:200]).all()
+        for k in range(len(given) - 20)
+        if (given.x[k : k + 20] == got.x[:20]).all() and (given.y[k : k + 20] == got.y[:20]).all()
     )
-    matched = given[first : first + len(got)]
-    np.testing.assert_array_equal(got.x, matched.x)
-    np.testing.assert_array_equal(got.y, matched.y)
-    np.testing.assert_array_equal(got.polarity, matched.polarity)
-    assert len(set((matched.t - got.t).tolist())) == 1
+    # A camera that is read too late drops events; the others are those that went in.
+    rows = [
+        np.stack([each.t - t0, each.x, each.y, each.polarity], axis=1)
+        for each, t0 in ((got, got.t[0]), (given, given.t[first]))
+    ]
+    assert set(map(tuple, rows[0].tolist())) <= set(map(tuple, rows[1].tolist()))
     assert times == sorted(times)
     assert len(frames) > 20
     for frame in frames:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.clock import ClockEpochs, Origin
+from mixtac_driver.clock import JUMP_US, ClockEpochs, Origin
 from mixtac_driver.errors import StreamError
 
 ASKED = Origin(10**15, 1000)
@@ -126,3 +126,25 @@ def test_time_that_jumped_ahead_is_refused_and_the_next_stream_begins_where_it_w
     with pytest.raises(StreamError):
         epochs.follow(1, 100 * 0x8000 * 4095, ASKED.host_ns + 3_000_000)
     assert epochs.latest_us == ASKED.us + 1000
+
+
+@given(
+    st.floats(-500e-6, 500e-6),
+    st.lists(st.tuples(st.integers(0, 10**7), st.integers(0, 10**8)), max_size=200),
+)
+def test_late_data_and_slow_or_fast_clocks_are_no_jump(rate, steps):
+    epochs, time_us = started(), 0
+    for step_us, late_us in steps:
+        time_us += step_us
+        arrival_ns = ASKED.host_ns + 1000 * (time_us + late_us)
+        assert epochs.follow(1, time_us + int(time_us * rate), arrival_ns) is not None
+
+
+@given(st.integers(0, 10**12), st.integers(JUMP_US + 10_000, 10**15))
+def test_data_from_the_future_are_a_jump(time_us, ahead_us):
+    epochs = started()
+    arrival_ns = ASKED.host_ns + 1000 * (time_us + 500)
+    epochs.follow(1, time_us, arrival_ns)
+    with pytest.raises(StreamError):
+        epochs.follow(1, time_us + ahead_us, arrival_ns)
+    epochs.follow(1, time_us + 100, arrival_ns)

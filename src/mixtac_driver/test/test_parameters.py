@@ -9,7 +9,8 @@ import dataclasses
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_core.node.parameters import ParameterError, build, specs
+from mixtac_core.node.files import FileError
+from mixtac_core.node.parameters import build, specs
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.biases import BiasParameters
 from mixtac_driver.davis346.writes import register_writes, run_writes
@@ -147,9 +148,11 @@ def test_numbers_have_ranges():
         ({'aps_roi_start_row': 9, 'aps_roi_end_row': 5}, 'aps_roi'),
         ({'generator_length': 10}, 'generator_interval'),
         ({'aps_auto_exposure_minimum': 40_000}, 'aps_auto_exposure_maximum'),
-        ({'usb_transfer_size': 65_537}, 'usb_transfer_size = 65537'),
-        ({'usb_transfer_size': 131_072, 'usb_queue_size': 131_071}, 'usb_queue_size = 131071'),
-        ({'usb_transfer_size': 1 << 22, 'usb_transfers': 65}, 'usb_transfers = 64'),
+        ({'camera_frame_id': ''}, 'camera_frame_id'),
+        ({'camera_frame_id': '/camera'}, 'camera_frame_id'),
+        ({'imu_frame_id': 'left imu'}, 'imu_frame_id'),
+        ({'camera_name': 'left/camera'}, 'camera_name'),
+        ({'hot_pixels_file': 'mask.jpg'}, 'hot_pixels_file'),
     ],
 )
 def test_contradicting_values_are_refused(values, name):
@@ -158,14 +161,7 @@ def test_contradicting_values_are_refused(values, name):
     assert name in str(error.value)
 
 
-def test_the_most_and_the_least_of_usb_reads_are_allowed():
-    build(DriverParameters, {'usb_transfer_size': 1 << 22, 'usb_transfers': 64}).check()
-    build(DriverParameters, {'usb_transfer_size': 1024, 'usb_transfers': 1}).check()
-
-
-def test_recovery_is_chosen_by_name_and_fixed():
-    recovery = [spec for spec in specs(DriverParameters) if spec.name.startswith('recovery_')]
-    assert len(recovery) == 4
-    assert all(spec.read_only for spec in recovery)
-    with pytest.raises(ParameterError):
-        build(DriverParameters, {'recovery_policy': 'hope'})
+def test_a_file_to_write_lies_in_the_state_folder():
+    build(DriverParameters, {'hot_pixels_file': 'mask.png', 'imu_frame_id': 'left/imu'}).check()
+    with pytest.raises(FileError):
+        build(DriverParameters, {'hot_pixels_file': '/none/mask.png'}).check()

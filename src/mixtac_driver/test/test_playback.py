@@ -135,7 +135,6 @@ def source_of(path, *, now_ns=time.time_ns, **parameters):
 def test_it_ends_once_and_its_figures_remain(bag):
     source = source_of(bag)
     assert source.control is None
-    assert source.attached() == frozenset()
     source.start()
     with pytest.raises(EndOfStream):
         for _ in source.batches():

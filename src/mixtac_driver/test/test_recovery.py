@@ -10,12 +10,9 @@ import random
 import pytest
 import usb.util
 from davis_fake import FakeBackend, FakeCamera
-from hypothesis import given
-from hypothesis import strategies as st
 from usb.core import USBError, USBTimeoutError
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.clock import JUMP_US, JumpGuard
 from mixtac_driver.device import attached_cameras, find_camera
 from mixtac_driver.errors import (
     AccessError,
@@ -26,7 +23,6 @@ from mixtac_driver.errors import (
     NoAnswerError,
     NoCameraError,
     StallError,
-    StreamError,
     UsbError,
 )
 from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
@@ -154,26 +150,3 @@ def test_registers_that_read_as_garbage_are_refused_in_clear_words(seed):
         assert len(str(error).splitlines()) == 1  # noqa: PT017 - not every garbage is refused
     camera.close()
     assert fake.handles == 0
-
-
-@given(
-    st.floats(-500e-6, 500e-6),
-    st.lists(st.tuples(st.integers(0, 10**7), st.integers(0, 10**8)), max_size=200),
-)
-def test_late_data_and_slow_or_fast_clocks_are_no_jump(rate, steps):
-    guard = JumpGuard()
-    guard.restart(1000)
-    time_us = 0
-    for step_us, late_us in steps:
-        time_us += step_us
-        guard.check(time_us + int(time_us * rate), time_us + late_us)
-
-
-@given(st.integers(0, 10**12), st.integers(JUMP_US + 1000, 10**15))
-def test_data_from_the_future_are_a_jump(time_us, ahead_us):
-    guard = JumpGuard()
-    guard.restart(100)
-    guard.check(time_us, time_us + 500)
-    with pytest.raises(StreamError):
-        guard.check(time_us + ahead_us, time_us + 600)
-    guard.check(time_us + 100, time_us + 600)

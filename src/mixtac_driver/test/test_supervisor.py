@@ -1,116 +1,231 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reconnecting: growing pauses, errors told once, a stop that always returns."""
+"""What the supervisor does after a failure, on a source that follows a script."""
 
 from __future__ import annotations
 
 import threading
 import time
+from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver import supervisor as supervisor_module
 from mixtac_driver.camera import Davis346
+from mixtac_driver.errors import EndOfStream, HungReadError, NoCameraError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 
+NEVER_S = 1000.0
+GONE = ('open', NoCameraError('gone'))
+DIED = ('batches', StreamError('died'))
+
 
 @pytest.fixture(autouse=True)
-def quick_settling(monkeypatch):
+def quick(monkeypatch):
     monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 0.0)
     monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', 0.0)
-    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
-    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
+    monkeypatch.setattr(supervisor_module, 'FIRST_PAUSE_S', 0.001)
+    monkeypatch.setattr(supervisor_module, 'LONGEST_PAUSE_S', 0.002)
 
 
-def wait_until(condition, seconds=5.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+class Script:
+    """A source: each opening takes the next entry, which is what goes wrong where, or nothing."""
+
+    def __init__(self, *entries):
+        self.entries = list(entries)
+        self.is_open = False
+        self.opened_s = []
+        self.stopping = threading.Event()
+
+    def status(self):
+        return SimpleNamespace(is_open=self.is_open)
+
+    def open(self):
+        self.opened_s.append(time.monotonic())
+        self.stopping.clear()
+        self.entry = self.entries.pop(0) if self.entries else None
+        self._raise_in('open')
+        self.is_open = True
+
+    def start(self):
+        self._raise_in('start')
+
+    def batches(self):
+        yield 'batch'
+        self._raise_in('batches')
+        self.stopping.wait(10)
+
+    def request_stop(self):
+        self.stopping.set()
+
+    def close(self):
+        self.is_open = False
+        self._raise_in('close')
+
+    def _raise_in(self, place):
+        if self.entry is not None and self.entry[0] == place:
+            raise self.entry[1]
 
 
 class Watch:
-    """A supervisor on a fake camera, with what it called back."""
+    """A supervisor on a script, and what it called back."""
 
-    def __init__(self, backend, on_batch=None, **kwargs):
-        self.starts, self.batches, self.errors = [], [], []
-        p = DriverParameters(stream_timeout=0.3, recovery_first_pause=0.02)
-        self.camera = Davis346(p, backend=backend)
+    def __init__(self, script, on_batch=None, on_error=None, **settings):
+        self.log = []
+        self.streaming = threading.Semaphore(0)
         self.supervisor = Supervisor(
-            self.camera,
-            p,
-            on_start=lambda: self.starts.append(time.monotonic()),
-            on_batch=on_batch or self.batches.append,
-            on_error=self.errors.append,
-            **kwargs,
+            script,
+            DriverParameters(**settings),
+            on_start=lambda: self.log.append('streaming'),
+            on_batch=on_batch or (lambda _batch: self.streaming.release()),
+            on_error=on_error or self.log.append,
         )
         self.supervisor.start()
 
+    @property
+    def errors(self):
+        return [line for line in self.log if line != 'streaming']
 
-def test_camera_that_comes_late_is_found():
-    backend = FakeBackend()
-    watch = Watch(backend)
-    wait_until(lambda: watch.supervisor.failures >= 2)
-    wait_until(lambda: len(watch.errors) == 1)
-    backend.cameras = (FakeCamera(),)
-    wait_until(lambda: watch.batches)
-    assert watch.supervisor.state is State.STREAMING
-    assert not watch.supervisor.error
+    def wait_for_stream(self, number=1):
+        for _ in range(number):
+            assert self.streaming.acquire(timeout=5)
+
+    def wait_for_end(self):
+        assert self.supervisor.finished.wait(5)
+        assert self.supervisor.stop()
+        return self.supervisor
+
+
+def test_reconnecting_goes_on_through_every_kind_of_failure():
+    defect = ('batches', KeyError('defect'))
+    watch = Watch(Script(GONE, GONE, ('start', StreamError('no start')), DIED, defect))
+    watch.wait_for_stream(3)
+    supervisor = watch.supervisor
+    assert (supervisor.state, supervisor.error) == (State.STREAMING, '')
+    assert watch.errors == ['gone', 'no start', 'died', "defect in the driver: KeyError('defect')"]
+    assert (supervisor.failures, supervisor.reconnects) == (5, 2)
+    kinds = {'NoCameraError': 2, 'StreamError': 2, 'DriverError': 1}
+    assert supervisor.failures_by_kind == kinds
+    assert not supervisor.finished.is_set()
+    assert supervisor.stop()
+    assert (supervisor.state, supervisor.failure) == (State.STOPPED, None)
+    assert supervisor.finished.is_set()
+
+
+def test_an_error_that_changes_with_every_attempt_is_reported_once():
+    entries = [('open', NoCameraError(f'attempt {number}')) for number in range(20)]
+    watch = Watch(Script(*entries, ('open', StreamError('other'))))
+    watch.wait_for_stream()
+    assert watch.errors == ['attempt 0', 'other']
+    assert watch.supervisor.failures == 21
     assert watch.supervisor.stop()
-    assert watch.supervisor.state is State.STOPPED
 
 
-@pytest.mark.parametrize('moment_s', [0.0, 0.005, 0.015, 0.03, 0.1])
-def test_stop_returns_whenever_it_is_called(moment_s):
+def test_the_last_word_after_an_outage_is_that_the_stream_is_back(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', NEVER_S)
+    watch = Watch(Script(DIED))
+    watch.wait_for_stream(2)
+    assert watch.log == ['streaming', 'died', 'streaming']
+    assert watch.supervisor.stop()
+    assert watch.log[-1] == 'streaming'
+
+
+@pytest.mark.parametrize('entries', [[GONE, GONE], [DIED, *[GONE] * 10_000]])
+def test_a_late_start_and_an_ordered_end_are_no_failures(monkeypatch, entries):
+    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', NEVER_S)
+    monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', NEVER_S)
+    watch = Watch(Script(*entries))
+    watch.wait_for_stream()
+    while watch.supervisor.failures < 2:
+        time.sleep(0.001)
+    assert watch.supervisor.stop()
+    assert watch.errors == []
+
+
+def test_patience_has_an_end_where_one_is_set():
+    supervisor = Watch(Script(*[GONE] * 10_000), recovery_give_up_after=0.05).wait_for_end()
+    assert supervisor.state is State.FAILED
+    assert 'gone' in str(supervisor.failure)
+
+
+def test_end_of_a_recording_is_no_failure():
+    script = Script(('batches', EndOfStream('over')))
+    watch = Watch(script)
+    supervisor = watch.wait_for_end()
+    assert (supervisor.state, supervisor.error, supervisor.failure) == (State.ENDED, '', None)
+    assert (len(script.opened_s), supervisor.failures, watch.errors) == (1, 0, [])
+    assert not script.is_open
+
+
+@pytest.mark.parametrize('kind', [RecordingError, HungReadError])
+def test_a_source_that_opening_again_cannot_mend_is_not_opened_again(kind):
+    script = Script(('open', kind('damaged')))
+    supervisor = Watch(script).wait_for_end()
+    assert (supervisor.state, supervisor.error) == (State.FAILED, 'damaged')
+    assert isinstance(supervisor.failure, kind)
+    assert len(script.opened_s) == 1
+
+
+def test_pauses_double_up_to_a_bound(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'FIRST_PAUSE_S', 0.02)
+    monkeypatch.setattr(supervisor_module, 'LONGEST_PAUSE_S', 0.05)
+    script = Script(*[GONE] * 4)
+    watch = Watch(script)
+    watch.wait_for_stream()
+    pauses = [after - before for before, after in pairwise(script.opened_s)]
+    assert all(
+        pause >= least for pause, least in zip(pauses, (0.02, 0.04, 0.05, 0.05), strict=True)
+    )
+    assert watch.supervisor.stop()
+
+
+def broken(_line):
+    raise ZeroDivisionError
+
+
+@pytest.mark.parametrize(
+    ('entry', 'on_error', 'named'),
+    [(('close', KeyError('defect')), None, 'defect'), (GONE, broken, 'ZeroDivisionError')],
+)
+def test_defects_in_closing_and_reporting_end_the_supervisor(entry, on_error, named):
+    script = Script(entry)
+    watch = Watch(script, on_error=on_error)
+    if entry is not GONE:
+        watch.wait_for_stream()
+        script.request_stop()
+    supervisor = watch.wait_for_end()
+    assert supervisor.state is State.FAILED
+    assert named in str(supervisor.failure)
+
+
+def test_a_consumer_that_hangs_can_be_seen_and_does_not_keep_stop_from_returning(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 0.1)
+    entered, release = threading.Event(), threading.Event()
+
+    def hang(_batch):
+        entered.set()
+        release.wait(10)
+
+    supervisor = Watch(Script(), on_batch=hang).supervisor
+    assert entered.wait(5)
+    before_s = supervisor.quiet_s
+    assert not supervisor.stop()
+    assert supervisor.quiet_s > before_s
+    release.set()
+    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 5.0)
+    assert supervisor.stop()
+
+
+@pytest.mark.parametrize('moment_s', [0.0, 0.015, 0.1])
+def test_stop_returns_whenever_it_is_called(monkeypatch, moment_s):
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
     fake = FakeCamera()
-    watch = Watch(FakeBackend(fake))
+    watch = Watch(Davis346(backend=FakeBackend(fake)))
     time.sleep(moment_s)
     assert watch.supervisor.stop()
     assert fake.handles == 0
-
-
-def test_consumer_that_hangs_does_not_keep_stop_from_returning(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 0.1)
-    release = threading.Event()
-    watch = Watch(FakeBackend(FakeCamera()), on_batch=lambda _b: release.wait(10))
-    wait_until(lambda: watch.supervisor.state is State.STREAMING)
-    assert not watch.supervisor.stop()
-    release.set()
-    assert watch.supervisor.stop()
-
-
-def test_a_camera_that_goes_away_shortly_before_the_stop_is_not_reported(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 1000.0)
-    fake = FakeCamera()
-    watch = Watch(FakeBackend(fake))
-    wait_until(lambda: watch.batches)
-    fake.unplug()
-    wait_until(lambda: watch.supervisor.failures >= 2)
-    assert watch.supervisor.stop()
-    assert watch.errors == []
-
-
-def test_a_camera_that_comes_soon_is_not_reported_as_missing(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', 1000.0)
-    backend = FakeBackend()
-    watch = Watch(backend)
-    wait_until(lambda: watch.supervisor.failures >= 2)
-    backend.cameras = (FakeCamera(),)
-    wait_until(lambda: watch.batches)
-    assert watch.errors == []
-    assert watch.supervisor.stop()
-
-
-def test_an_outage_is_reported_once_the_stream_is_back(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 1000.0)
-    fake = FakeCamera()
-    watch = Watch(FakeBackend(fake))
-    wait_until(lambda: watch.batches)
-    fake.unplug()
-    wait_until(lambda: watch.supervisor.failures)
-    fake.error, fake.claimed = None, False
-    wait_until(lambda: watch.supervisor.reconnects)
-    assert watch.errors
-    assert watch.supervisor.stop()

@@ -62,19 +62,24 @@ class Packetizer:
         self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
-    def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
+    def push(
+        self, events: Events, time_us: int, arrival_ns: int, origin_us: int = 0
+    ) -> list[Packet]:
         """Add events and return the packets that are complete.
 
         Args:
-            events: Events on the camera clock [us], sorted, not before those added earlier. They
+            events: Events on a camera clock [us], sorted, not before those added earlier. They
                 are copied.
-            time_us: Camera time that the stream has reached; no later event is before it.
+            time_us: Camera time that the stream has reached, origin included; no later event is
+                before it.
             arrival_ns: Host time of their arrival.
+            origin_us: Added to the times of the events.
         """
         held = len(self._pending)
         if not held:
             self._pending_arrival_ns = arrival_ns
         self._pending = pending = Events.concatenate([self._pending, events])
+        pending.t[held:] += origin_us
         closed_us = time_us // self._period_us * self._period_us
         if self._complete_us is None:
             first_us = int(pending.t[0]) if len(pending) else closed_us

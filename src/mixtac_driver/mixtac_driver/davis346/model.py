@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Camera models, and the identity of an opened camera: versions, chip, clocks, geometry, features.
+"""Camera models, and the identity of an opened camera: versions, chip, clocks, geometry.
 
-`CameraModel` describes one camera of the DAVIS family; the sizes, the orientation of the arrays
-and the blocks of the logic are read from the camera itself. Other packages add models by the
-entry-point group `mixtac.camera_models`. Cameras that fit no model are refused.
+`CameraModel` describes one camera of the DAVIS family; the sizes and the orientation of the arrays
+are read from the camera itself. Other packages add models by the entry-point group
+`mixtac.camera_models`. Cameras that fit no model are refused. A logic that lacks a block ignores
+the registers of it, and reads them as zero.
 """
 
 from __future__ import annotations
@@ -16,33 +17,13 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from mixtac_driver.davis346.biases import DEFAULT_BIASES, Bias
-from mixtac_driver.davis346.registers import (
-    Aps,
-    Chip,
-    Dvs,
-    ExternalInput,
-    Imu,
-    Module,
-    Mux,
-    SystemInfo,
-)
+from mixtac_driver.davis346.registers import Aps, Chip, Dvs, Imu, Module, SystemInfo
 from mixtac_driver.errors import UnsupportedCameraError
 from mixtac_driver.usb.protocol import Protocol
 
 GROUP = 'mixtac.camera_models'
 """Entry points of this group name a `CameraModel`."""
-CHIP_NAMES = {
-    0: 'DAVIS240A',
-    1: 'DAVIS240B',
-    2: 'DAVIS240C',
-    3: 'DAVIS128',
-    4: 'DAVIS346A',
-    5: 'DAVIS346B',
-    6: 'DAVIS640',
-    7: 'DAVIS640H',
-    8: 'DAVIS208',
-    9: 'DAVIS346C',
-}
+CHIP_NAMES = {4: 'DAVIS346A', 5: 'DAVIS346B', 9: 'DAVIS346C'}
 
 
 @dataclass(frozen=True)
@@ -178,26 +159,6 @@ class Clocks:
 
 
 @dataclass(frozen=True, slots=True)
-class Features:
-    """Blocks that a build of the logic may lack, and the colour filter of the pixels.
-
-    Attributes:
-        color_filter: 0 monochrome, 1 .. 8 a colour filter.
-    """
-
-    pixel_filter: bool = True
-    background_activity: bool = True
-    roi: bool = True
-    skip: bool = True
-    polarity: bool = True
-    dvs_statistics: bool = True
-    color_filter: int = 0
-    global_shutter: bool = True
-    generator: bool = True
-    mux_statistics: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class Identity:
     """What an opened camera reports about itself.
 
@@ -212,7 +173,7 @@ class Identity:
         geometry: Pixel arrays.
         imu_type: 0 none, 1 MPU6050, 2 MPU9250.
         imu_flips: True per axis (x, y, z) whose direction on the unit is reversed.
-        features: Blocks the logic has.
+        color_filter: 0 monochrome, 1 .. 8 a colour filter.
     """
 
     model: CameraModel
@@ -225,7 +186,7 @@ class Identity:
     geometry: Geometry
     imu_type: int
     imu_flips: tuple[bool, bool, bool]
-    features: Features
+    color_filter: int = 0
 
 
 def check_firmware(bcd_device: int, minimum: int = DAVIS346.minimum_firmware) -> tuple[int, int]:
@@ -282,7 +243,7 @@ def read_identity(
             remedy=f'update the camera to logic {wanted}',
         )
     is_master = read_is_master(protocol)
-    features = _read_features(protocol)
+    color_filter = protocol.read(Module.APS, Aps.COLOR_FILTER)
     geometry = _read_geometry(protocol, model)
     imu_type = protocol.read(Module.IMU, Imu.TYPE)
     clocks = _read_clocks(protocol)
@@ -298,7 +259,7 @@ def read_identity(
         geometry=geometry,
         imu_type=imu_type,
         imu_flips=(bool(imu_orientation & 4), bool(imu_orientation & 2), bool(imu_orientation & 1)),
-        features=features,
+        color_filter=color_filter,
     )
 
 
@@ -313,27 +274,8 @@ def _choose_model(models: Sequence[CameraModel], chip: int) -> CameraModel:
             return model
     known = ', '.join(CHIP_NAMES.get(each, str(each)) for m in models for each in m.chips)
     raise UnsupportedCameraError(
-        f'chip {chip} ({CHIP_NAMES.get(chip, "unknown")}) is not supported here',
+        f'chip {chip} is not supported here',
         remedy=f'attach a camera with one of the chips {known}, or choose one by its serial number',
-    )
-
-
-def _read_features(protocol: Protocol) -> Features:
-    def has(module: Module, parameter: int) -> bool:
-        return bool(protocol.read(module, parameter))
-
-    # Arguments are evaluated as they stand, which is the order of the reads.
-    return Features(
-        pixel_filter=has(Module.DVS, Dvs.HAS_PIXEL_FILTER),
-        background_activity=has(Module.DVS, Dvs.HAS_BACKGROUND_ACTIVITY_FILTER),
-        roi=has(Module.DVS, Dvs.HAS_ROI),
-        skip=has(Module.DVS, Dvs.HAS_SKIP),
-        polarity=has(Module.DVS, Dvs.HAS_POLARITY),
-        dvs_statistics=has(Module.DVS, Dvs.HAS_STATISTICS),
-        color_filter=protocol.read(Module.APS, Aps.COLOR_FILTER),
-        global_shutter=has(Module.APS, Aps.HAS_GLOBAL_SHUTTER),
-        generator=has(Module.EXTERNAL_INPUT, ExternalInput.HAS_GENERATOR),
-        mux_statistics=has(Module.MUX, Mux.HAS_STATISTICS),
     )
 
 

@@ -96,9 +96,6 @@ class SensorParameters:
             Empty: no mask
         hot_pixels_duration: Time over which the service find_hot_pixels counts events; keep the
             scene still
-        hot_pixels_minimum_rate: Lowest event rate of a hot pixel
-        hot_pixels_factor: A hot pixel has at least this many times the events of the fourth
-            noisiest pixel around it
         hot_pixels_file: Name of the file, such as left_mask.png, to which the service
             find_hot_pixels writes the mask (an image for dvs_pixel_mask), in the state folder
             ($MIXTAC_HOME, by default ~/.local/state/mixtac). Empty: not written
@@ -159,8 +156,6 @@ class SensorParameters:
     polarity_suppress_type: bool = parameter(False)
     dvs_pixel_mask: str = parameter('')
     hot_pixels_duration: float = parameter(2.0, unit='s', within=(0.1, 4.0))
-    hot_pixels_minimum_rate: float = parameter(10.0, unit='1/s', within=(0.1, 1e6))
-    hot_pixels_factor: float = parameter(10.0, within=(1.0, 1e6))
     hot_pixels_file: str = parameter('')
 
     aps_enabled: bool = parameter(True)

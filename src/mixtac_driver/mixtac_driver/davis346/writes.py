@@ -58,7 +58,7 @@ def register_writes(
 
     Args:
         p: Settings.
-        identity: The camera: its model, its clocks, and the blocks it lacks, which are left alone.
+        identity: The camera: its model, its clocks and its sizes.
         pixel_filter: (column, row) of pixels whose events the camera drops, most important first;
             it takes as many as it has filters.
 
@@ -93,27 +93,22 @@ def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
 def _dvs_writes(
     p: CameraParameters, identity: Identity, pixel_filter: Sequence[tuple[int, int]]
 ) -> list[Write]:
-    has, (width, height) = identity.features, identity.geometry.event_size
-    values: list[tuple[int, int]] = [(Dvs.WAIT_ON_STALL, 0), (Dvs.EXTERNAL_AER_CONTROL, 0)]
-    if has.pixel_filter:
-        values += _pixel_filter_values(pixel_filter, width, height)
-    if has.background_activity:
-        values += [
-            (Dvs.BACKGROUND_ACTIVITY_ENABLE, p.background_activity_filter_enabled),
-            (Dvs.BACKGROUND_ACTIVITY_TIME, p.background_activity_filter_time),
-            (Dvs.REFRACTORY_ENABLE, p.refractory_period_enabled),
-            (Dvs.REFRACTORY_TIME, p.refractory_period_time),
-        ]
-    if has.roi:
-        values += zip(DVS_REGION, p.roi.within(width, height, 'roi'), strict=True)
-    if has.skip:
-        values += [(Dvs.SKIP_ENABLE, p.skip_enabled), (Dvs.SKIP_EVERY, p.skip_events_every)]
-    if has.polarity:
-        values += [
-            (Dvs.POLARITY_FLATTEN, p.polarity_flatten),
-            (Dvs.POLARITY_SUPPRESS, p.polarity_suppress),
-            (Dvs.POLARITY_SUPPRESS_TYPE, p.polarity_suppress_type),
-        ]
+    width, height = identity.geometry.event_size
+    values: tuple[tuple[int, int], ...] = (
+        (Dvs.WAIT_ON_STALL, 0),
+        (Dvs.EXTERNAL_AER_CONTROL, 0),
+        *_pixel_filter_values(pixel_filter, width, height),
+        (Dvs.BACKGROUND_ACTIVITY_ENABLE, p.background_activity_filter_enabled),
+        (Dvs.BACKGROUND_ACTIVITY_TIME, p.background_activity_filter_time),
+        (Dvs.REFRACTORY_ENABLE, p.refractory_period_enabled),
+        (Dvs.REFRACTORY_TIME, p.refractory_period_time),
+        *zip(DVS_REGION, p.roi.within(width, height, 'roi'), strict=True),
+        (Dvs.SKIP_ENABLE, p.skip_enabled),
+        (Dvs.SKIP_EVERY, p.skip_events_every),
+        (Dvs.POLARITY_FLATTEN, p.polarity_flatten),
+        (Dvs.POLARITY_SUPPRESS, p.polarity_suppress),
+        (Dvs.POLARITY_SUPPRESS_TYPE, p.polarity_suppress_type),
+    )
     return [Write(Module.DVS, parameter, int(value)) for parameter, value in values]
 
 
@@ -136,20 +131,19 @@ def _pixel_filter_values(
 def _aps_writes(p: CameraParameters, identity: Identity) -> list[Write]:
     adc, geometry = identity.clocks.adc, identity.geometry
     roi = p.aps_roi.within(geometry.width, geometry.height, 'aps_roi')
-    writes = [Write(Module.APS, Aps.WAIT_ON_STALL, 1)]
-    if identity.features.global_shutter:
-        # The chip must know before the read-out does.
-        shutter = int(p.aps_global_shutter)
-        writes += [
-            Write(Module.CHIP, Chip.GLOBAL_SHUTTER, shutter),
-            Write(Module.APS, Aps.GLOBAL_SHUTTER, shutter),
-        ]
+    shutter = int(p.aps_global_shutter)
     values = (
+        (Aps.GLOBAL_SHUTTER, shutter),
         *zip(APS_REGION, roi, strict=True),
         (Aps.EXPOSURE, cycles(p.aps_exposure, adc)),
         (Aps.FRAME_INTERVAL, cycles(p.aps_frame_interval, adc)),
     )
-    return writes + [Write(Module.APS, parameter, value) for parameter, value in values]
+    # The chip must know its shutter before the read-out does.
+    first = [
+        Write(Module.APS, Aps.WAIT_ON_STALL, 1),
+        Write(Module.CHIP, Chip.GLOBAL_SHUTTER, shutter),
+    ]
+    return first + [Write(Module.APS, parameter, value) for parameter, value in values]
 
 
 def _imu_writes(p: CameraParameters, identity: Identity) -> list[Write]:
@@ -166,24 +160,23 @@ def _imu_writes(p: CameraParameters, identity: Identity) -> list[Write]:
 
 def _external_input_writes(p: CameraParameters, identity: Identity) -> list[Write]:
     logic = identity.clocks.logic
-    values: list[tuple[int, int]] = [
+    run = (ExternalInput.RUN_GENERATOR, p.generator_enabled)
+    generator: tuple[tuple[int, int], ...] = (
+        (ExternalInput.GENERATOR_POLARITY, p.generator_polarity),
+        (ExternalInput.GENERATOR_INTERVAL, cycles(p.generator_interval, logic)),
+        (ExternalInput.GENERATOR_LENGTH, cycles(p.generator_length, logic)),
+        (ExternalInput.INJECT_ON_RISING, p.generator_inject_on_rising),
+        (ExternalInput.INJECT_ON_FALLING, p.generator_inject_on_falling),
+    )
+    values = (
         (ExternalInput.DETECT_RISING, p.external_input_rising),
         (ExternalInput.DETECT_FALLING, p.external_input_falling),
         (ExternalInput.DETECT_PULSES, p.external_input_pulses),
         (ExternalInput.PULSE_POLARITY, p.external_input_pulse_polarity),
         (ExternalInput.PULSE_LENGTH, cycles(p.external_input_pulse_length, logic)),
-    ]
-    if identity.features.generator:
-        run = (ExternalInput.RUN_GENERATOR, p.generator_enabled)
-        generator: list[tuple[int, int]] = [
-            (ExternalInput.GENERATOR_POLARITY, p.generator_polarity),
-            (ExternalInput.GENERATOR_INTERVAL, cycles(p.generator_interval, logic)),
-            (ExternalInput.GENERATOR_LENGTH, cycles(p.generator_length, logic)),
-            (ExternalInput.INJECT_ON_RISING, p.generator_inject_on_rising),
-            (ExternalInput.INJECT_ON_FALLING, p.generator_inject_on_falling),
-        ]
-        # It stops before its settings change and starts with the new ones.
-        values += [*generator, run] if p.generator_enabled else [run, *generator]
+        # The generator stops before its settings change and starts with the new ones.
+        *((*generator, run) if p.generator_enabled else (run, *generator)),
+    )
     return [Write(Module.EXTERNAL_INPUT, parameter, int(value)) for parameter, value in values]
 
 

@@ -88,7 +88,7 @@ class StreamDecoder:
         return int(self._state['time'])
 
     def push(
-        self, data: Octets, *, short_packet: bool = True, until_us: int = 0
+        self, data: Octets, *, short_packet: bool = True, until_us: int = 0, gap: Gap | None = None
     ) -> Iterator[DecodedBatch]:
         """Decode the bytes of one transfer.
 
@@ -98,15 +98,22 @@ class StreamDecoder:
                 full to the last byte, so that its last word may be split.
             until_us: Time before which no batch is due [us, camera clock]: what is decoded stays
                 for the next call, unless it holds a frame.
+            gap: What was lost before the data. Items in progress and the row address are dropped;
+                time continues over the gap.
 
         Yields:
-            Batches: one without `until_us`, more after bursts and resets of the clock.
+            Batches: one without `until_us`, more after gaps, bursts and resets of the clock.
 
         Raises:
             DriverError: Not all batches of the previous transfer were taken.
         """
         if self._busy:
             raise DriverError('take all batches of a transfer before pushing the next one')
+        if gap is not None and gap.size:
+            if self.waiting:
+                yield from self.push(b'')
+            self._skip(gap)
+            until_us = 0 if gap.resets else until_us
         self._busy = True
         words = self._words(data, short_packet=short_packet)
         i, n, reason = 0, self._held, FULL
@@ -130,15 +137,7 @@ class StreamDecoder:
             # Also where the batches are not all taken: what is left of them is dropped.
             self._busy = False
 
-    def skip(self, gap: Gap) -> None:
-        """Continue after bytes that were lost before they could be pushed.
-
-        Items in progress and the row address are dropped; time continues over the gap. Nothing may
-        be `waiting`: push no bytes before.
-
-        Args:
-            gap: What was lost.
-        """
+    def _skip(self, gap: Gap) -> None:
         state = self._state
         drop_items(self._buffers)
         self._half_word = b''

@@ -7,10 +7,8 @@ from __future__ import annotations
 import time
 from functools import partial
 
-import numpy as np
 from rclpy.node import Node
 
-from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import warm_up
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import Frame, InertialSamples
@@ -19,9 +17,9 @@ from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
+from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.publishers import (
-    CalibrationPublisher,
     ClockPublisher,
     EdgePublisher,
     EventPublisher,
@@ -53,13 +51,14 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         with self._diagnostics.compiling('the pixel mask'):
             warm_up_mask()
         self._clock_due_s = 0.0
-        self._epoch_us = np.empty(0, np.int64)
         self._identity: Identity | None = None
         self._meters = DriverMeters()
-        self._calibration = CalibrationPublisher(self, p)
+        self._calibration = CalibratedCamera(p)
+        self.get_logger().info(self._calibration.describe())
         self._event_publishers = [EventPublisher(self, p, topics.EVENTS, self._meters)]
-        if self._calibration.events is not None:
-            self._event_publishers.append(self._calibration.events)
+        if p.undistort_events:
+            move = self._calibration.undistort
+            self._event_publishers.append(EventPublisher(self, p, topics.EVENTS_RECT, move=move))
         self._frames = FramePublisher(self, p.camera_frame_id, self._calibration.complete)
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
@@ -77,7 +76,9 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
             on_error=self.get_logger().error,
         )
         self._status = DriverStatus(self._source, self._supervisor, self._settings, self._meters)
-        self._driver_services = DriverServices(self, self._source, self._settings)
+        self._driver_services = DriverServices(
+            self, self._source, self._settings, self._calibration
+        )
         self._supervisor.start()
 
     def _report(self) -> Status:
@@ -117,7 +118,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
             raise RuntimeError('the source has no identity although it is open')
         size = identity.geometry.event_size
         self._settings.use_size(size)
-        self._calibration.use(size)
+        self._calibration.use_size(size)
         self._identity = identity
         return identity
 
@@ -149,23 +150,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         events = batch.decoded.events
         self._meters.events.add(len(events))
         events = self._settings.mask.keep(events)
-        # Subscribers that come in between get the next batch.
-        wanted = [each.wanted for each in self._event_publishers]
-        if any(wanted):
-            events = self._on_epoch(events, batch.origin.us)
-        for publisher, is_wanted in zip(self._event_publishers, wanted, strict=True):
-            if is_wanted:
-                publisher.publish(events, batch.time_us, batch.arrival_ns, size)
-            else:
-                publisher.restart()
-
-    def _on_epoch(self, events: Events, origin_us: int) -> Events:
-        """Return events on the epoch-based camera clock; valid until the next call."""
-        count = len(events)
-        if count > len(self._epoch_us):
-            self._epoch_us = np.empty(2 * count, np.int64)
-        t = np.add(events.t, origin_us, out=self._epoch_us[:count])
-        return Events(t, events.x, events.y, events.polarity)
+        for publisher in self._event_publishers:
+            publisher.publish(events, batch, size)
 
     def _publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
         exposure_us = frame.exposure_cycles / identity.clocks.adc

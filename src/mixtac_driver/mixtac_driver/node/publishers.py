@@ -11,10 +11,8 @@ from typing import Any
 
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
-from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
@@ -22,10 +20,10 @@ from mixtac_core.node import topics
 from mixtac_core.node.stamps import us_to_stamp
 from mixtac_core.node.topics import Topic
 from mixtac_core.recordings import messages
-from mixtac_driver.camera_info import CalibratedCamera, CalibrationError
+from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.status import DriverMeters
-from mixtac_driver.parameters import DeviceParameters, DriverParameters
+from mixtac_driver.parameters import DeviceParameters
 
 
 class EventPublisher:
@@ -55,24 +53,22 @@ class EventPublisher:
         self._packetizer: Packetizer | None = None
         self._writer: PacketWriter | None = None
 
-    @property
-    def wanted(self) -> bool:
-        """True while the topic has subscribers."""
-        return bool(self._publisher.get_subscription_count())
-
     def restart(self) -> None:
         """Discard unpublished events: another stream starts."""
         self._packetizer = None
 
-    def publish(self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]) -> None:
-        """Add events and publish the packets that they complete.
+    def publish(self, events: Events, batch: CameraBatch, size: tuple[int, int]) -> None:
+        """Add events and publish the packets that they complete, if there are subscribers.
 
         Args:
-            events: Events [us, epoch-based camera clock].
-            time_us: Time that the stream has reached [us, epoch-based camera clock].
-            arrival_ns: Host time of their arrival [ns since the Unix epoch].
+            events: Events of the batch.
+            batch: The batch.
             size: Width and height of the event array.
         """
+        if not self._publisher.get_subscription_count():
+            # Who subscribes gets whole packets from the next batch on.
+            self.restart()
+            return
         if self._packetizer is None or self._writer is None:
             period_us = round(self._p.event_message_time_threshold * 1e6)
             most_bytes = self._p.event_message_size_threshold
@@ -80,10 +76,10 @@ class EventPublisher:
             self._writer = PacketWriter(self._p.camera_frame_id, size)
         if self._move is not None:
             events = self._move(events)
-        for packet in self._packetizer.push(events, time_us, arrival_ns):
-            if self._publisher.get_subscription_count():
-                message = self._writer.write(packet.encode(), self._sequence, packet.arrival_ns)
-                self._publisher.publish(message)
+        origin_us, arrival_ns = batch.origin.us, batch.arrival_ns
+        for packet in self._packetizer.push(events, batch.time_us, arrival_ns, origin_us):
+            message = self._writer.write(packet.encode(), self._sequence, packet.arrival_ns)
+            self._publisher.publish(message)
             self._sequence += 1
             if self._meters is not None:
                 self._meters.packets.add()
@@ -120,7 +116,7 @@ class FramePublisher:
             identity: The camera.
         """
         if self._image.get_subscription_count():
-            color_filter = identity.features.color_filter
+            color_filter = identity.color_filter
             image = messages.image(frame, origin_us, color_filter, self._frame_id)
             self._image.publish(image)
         else:
@@ -235,56 +231,3 @@ class ClockPublisher:
         if time_us >= self._due_us:
             self._due_us = time_us + CLOCK_PERIOD_US
             self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
-
-
-class CalibrationPublisher:
-    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and on `events_rect`.
-
-    `events_rect` exists if a parameter enables it. Its pixels are the pixels of P in `camera_info`,
-    like the pixels of frames that image_proc rectifies (REP 104).
-
-    Args:
-        node: An rclpy node.
-        p: Location and use of the calibration.
-
-    Attributes:
-        events: Publishes undistorted events, or None.
-    """
-
-    def __init__(self, node: Any, p: DriverParameters) -> None:  # noqa: ANN401
-        self._logger, self._p = node.get_logger(), p
-        self._camera: CalibratedCamera | None = None
-        self.events: EventPublisher | None = None
-        if p.undistort_events:
-            self.events = EventPublisher(node, p, topics.EVENTS_RECT, move=self._undistort)
-        node.create_service(SetCameraInfo, '~/set_camera_info', self._save)
-
-    def use(self, size: tuple[int, int]) -> None:
-        """Load the calibration of a camera, once its size is known.
-
-        Args:
-            size: Columns and rows.
-
-        Raises:
-            CalibrationError: It is damaged, of another camera, or missing although it is needed.
-        """
-        if self._camera is None:
-            self._camera = CalibratedCamera(self._p, size)
-            self._logger.info(self._camera.describe())
-
-    def complete(self, info: CameraInfo) -> CameraInfo:
-        """Write the calibration, if any, into camera information."""
-        return info if self._camera is None else self._camera.complete(info)
-
-    def _undistort(self, events: Events) -> Events:
-        return Events.empty() if self._camera is None else self._camera.undistort(events)
-
-    def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
-        try:
-            if self._camera is None:
-                raise CalibrationError('no camera was opened yet', remedy='attach it and try again')
-            path = self._camera.save(request.camera_info)
-            response.success, response.status_message = True, f'wrote {path}'
-        except MixtacError as error:
-            response.success, response.status_message = False, str(error)
-        return response

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the driver: snapshot, clock reset, hot pixels.
+"""Services of the driver: snapshot, clock reset, hot pixels, calibration.
 
 They run in the executor's thread and wait there, for a bounded time, for the decoding thread.
 """
@@ -12,16 +12,18 @@ import threading
 from functools import partial
 from typing import Any
 
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.base_node import answering
 from mixtac_core.node.files import state_file
 from mixtac_driver.camera import CameraBatch
+from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.settings import DriverSettings
-from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
+from mixtac_driver.pixels import PixelCounter, PixelMask, hot_pixels, save_mask
 from mixtac_driver.source import Source
 
 MARGIN_S = 1.0
@@ -56,12 +58,13 @@ class NextFrame:
 
 
 class DriverServices:
-    """Offers `~/snapshot`, `~/reset_timestamps` and `~/find_hot_pixels` (std_srvs/Trigger).
+    """Offers `~/snapshot`, `~/reset_timestamps`, `~/find_hot_pixels` and `~/set_camera_info`.
 
     Args:
         node: An rclpy node.
         source: The source.
         settings: Its settings.
+        calibration: Its calibration.
     """
 
     def __init__(
@@ -69,14 +72,16 @@ class DriverServices:
         node: Any,  # noqa: ANN401
         source: Source,
         settings: DriverSettings,
+        calibration: CalibratedCamera,
     ) -> None:
-        self._source, self._settings = source, settings
+        self._source, self._settings, self._calibration = source, settings, calibration
         self._watcher: PixelCounter | NextFrame | None = None
         self._time_us = 0
         offer = partial(node.create_service, Trigger)
         offer('~/snapshot', answering(lambda _: self.snapshot()))
         offer('~/reset_timestamps', answering(lambda _: self.reset_timestamps()))
         offer('~/find_hot_pixels', answering(lambda _: self.find_hot_pixels()))
+        node.create_service(SetCameraInfo, '~/set_camera_info', self.set_camera_info)
 
     def watch(self, batch: CameraBatch) -> None:
         """Pass a batch, before its events are masked, to a waiting service; never waits."""
@@ -113,12 +118,9 @@ class DriverServices:
 
         Raises:
             DriverError: There is no stream, or a request failed; the mask stays unchanged.
-            FileError: The file of the mask is not in the state folder.
+            MixtacError: The file of the mask cannot be written; the pixels are masked.
         """
         p, before = self._settings.parameters, self._settings.mask
-        path = str(state_file(p.hot_pixels_file)) if p.hot_pixels_file else ''
-        if path:
-            check_path(path)
         identity = self._source.status().identity
         if identity is None:
             raise StreamError('no camera was opened yet', remedy='attach it and try again')
@@ -128,8 +130,7 @@ class DriverServices:
         try:
             counter = PixelCounter(round(p.hot_pixels_duration * 1e6), size)
             self._watch_with(counter, p.hot_pixels_duration, 'end of the count')
-            limits = (p.hot_pixels_duration, p.hot_pixels_minimum_rate, p.hot_pixels_factor)
-            found = hot_pixels(counter.counts, *limits)
+            found = hot_pixels(counter.counts, p.hot_pixels_duration)
             mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
             self._settings.use_mask(mask, self._source.apply)
         except MixtacError:
@@ -137,14 +138,23 @@ class DriverServices:
             with contextlib.suppress(UsbError):
                 self._settings.use_mask(before, self._source.apply)
             raise
-        if path:
-            save_mask(mask, path)
+        if p.hot_pixels_file:
+            save_mask(mask, str(state_file(p.hot_pixels_file)))
         listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
         more = ', ...' if len(found) > LISTED_PIXELS else ''
         return (
             f'{len(found)} hot pixels{": " if found else ""}{listed}{more}; {len(mask.pixels)} '
             f'masked, {len(mask.in_camera)} of them by the camera'
         )
+
+    def set_camera_info(self, request: Any, response: Any) -> Any:  # noqa: ANN401
+        """Store a calibration and use it from now on (sensor_msgs/SetCameraInfo)."""
+        try:
+            path = self._calibration.save(request.camera_info)
+            response.success, response.status_message = True, f'wrote {path}'
+        except MixtacError as error:
+            response.success, response.status_message = False, str(error)
+        return response
 
     def _control(self, otherwise: str) -> CameraControl:
         control = self._source.control

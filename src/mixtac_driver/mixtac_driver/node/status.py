@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from dataclasses import asdict
 
 from mixtac_core.events.clock_map import ClockEstimate
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
 from mixtac_driver.camera import SourceStatus
+from mixtac_driver.davis346.control import LOST
 from mixtac_driver.errors import DriverError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.source import Source, SourceKind, source_kind
@@ -146,20 +147,19 @@ class DriverStatus:
 
     def _statistics(self) -> tuple[int, dict[str, object]]:
         """Return events that the camera dropped since the last call, and its own counters."""
-        control = self._source.control
-        try:
-            statistics = control.statistics() if control is not None else None
-        except DriverError:
+        control, counters = self._source.control, dict[str, int]()
+        if control is not None:
             # The thread that reads the data reports failures of the camera.
-            statistics = None
-        if statistics is None:
+            with contextlib.suppress(DriverError):
+                counters = control.statistics()
+        if not counters:
             return 0, {}
         # A camera that was not unplugged counts on from an earlier session; a reopened one may
         # count from zero.
-        before = statistics.lost if self._dropped_before is None else self._dropped_before
-        self._dropped_before = statistics.lost
-        named = {f'camera {k.replace("_", " ")}': v for k, v in asdict(statistics).items()}
-        return max(statistics.lost - before, 0), named
+        lost = sum(counters[name] for name in LOST)
+        before = lost if self._dropped_before is None else self._dropped_before
+        self._dropped_before = lost
+        return max(lost - before, 0), {f'camera {name}': n for name, n in counters.items()}
 
     def _recovery(self) -> dict[str, object]:
         supervisor = self._supervisor

@@ -25,7 +25,7 @@ from usb.core import USBError
 
 from mixtac_driver.errors import HungReadError, UsbError
 from mixtac_driver.usb.protocol import usb_failure
-from mixtac_driver.usb.transport import Stalls, Transfer, TransferQueue, TransportCounters
+from mixtac_driver.usb.transport import Transfer, TransferQueue
 
 BULK = 2
 """Type of a bulk transfer (enum libusb_transfer_type)."""
@@ -166,6 +166,9 @@ class AsynchronousReader:
         transfers: Number of queued reads.
         transfer_size: Bytes requested per read.
         queue_size: Limit of received bytes waiting for the consumer.
+
+    Attributes:
+        counters: Counters since construction.
     """
 
     def __init__(
@@ -182,17 +185,12 @@ class AsynchronousReader:
         self._endpoint = endpoint
         self._count, self._transfer_size = transfers, transfer_size
         self._queue = TransferQueue(queue_size)
+        self.counters = self._queue.counters
         self._stopping = threading.Event()
         self._transfers: list[BulkTransfer] = []
         self._waiting: set[BulkTransfer] = set()
         self._failure: USBError | None = None
-        self._stalls = Stalls()
         self._looked_s = 0.0
-
-    @property
-    def counters(self) -> TransportCounters:
-        """Counters since construction."""
-        return self._queue.counters(self._stalls.total)
 
     def start(self) -> None:
         """Queue the reads at the endpoint.
@@ -276,7 +274,6 @@ class AsynchronousReader:
             self._failure = USBError(f'transfer ended with status {status}', None, number)
         # A read that failed or was cancelled may hold data.
         if data:
-            self._stalls.in_a_row = 0
             self._queue.put(data, time.time_ns(), short_packet=len(data) < transfer.size)
 
     def _submit_again(self, transfer: BulkTransfer) -> None:
@@ -299,7 +296,7 @@ class AsynchronousReader:
         Raises:
             UsbError: It was another failure, or there were too many consecutive stalls.
         """
-        self._stalls.note(error)
+        self._queue.note_failure(error)
         try:
             self._call_back()
             self._clear_halt()

@@ -86,17 +86,17 @@ class Transfer:
     gap: Gap
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class TransportCounters:
-    """Counters of a reader.
+    """Counters of a reader. Each is written by one thread at a time.
 
     Attributes:
         transfers: Reads with data.
         size: Bytes received.
-        stalls: Stalls of the endpoint that were cleared.
+        stalls: Stalls of the endpoint.
         dropped_transfers: Transfers dropped because the queue was full.
         dropped_size: Bytes dropped.
-        queued_size: Bytes in the queue now.
+        taken_size: Bytes that the consumer took from the queue.
         most_queued_size: Greatest number of bytes in the queue.
     """
 
@@ -105,43 +105,42 @@ class TransportCounters:
     stalls: int = 0
     dropped_transfers: int = 0
     dropped_size: int = 0
-    queued_size: int = 0
+    taken_size: int = 0
     most_queued_size: int = 0
+
+    @property
+    def queued_size(self) -> int:
+        """Bytes in the queue now."""
+        return self.size - self.dropped_size - self.taken_size
+
+
+MOST_STALLS = 5
+"""Consecutive stalls after which clearing them is given up."""
 
 
 class TransferQueue:
-    """Transfers in order.
+    """Transfers in order, and stalls of the endpoint between them.
 
     When the consumer is too slow, the newest transfers are dropped and counted; the camera time in
     them is kept (see `Transfer.gap`).
 
     Args:
         limit: Bytes that may wait for the consumer.
+
+    Attributes:
+        counters: Counters since construction.
     """
 
     def __init__(self, limit: int) -> None:
-        self._limit = limit
+        self.counters = TransportCounters()
         self._waiting: deque[Transfer] = deque()
+        self._limit = limit
         self._gap = Gap()
-        self._transfers = self._size = self._dropped_transfers = self._dropped_size = 0
-        # One for the thread that puts, one for the thread that pops: they may be different.
-        self._size_in = self._size_out = self._most_queued_size = 0
+        self._stalls_in_a_row = 0
 
     def __len__(self) -> int:
         """Return how many transfers wait."""
         return len(self._waiting)
-
-    def counters(self, stalls: int = 0) -> TransportCounters:
-        """Return the counters of the queue together with those of its reader."""
-        return TransportCounters(
-            transfers=self._transfers,
-            size=self._size,
-            stalls=stalls,
-            dropped_transfers=self._dropped_transfers,
-            dropped_size=self._dropped_size,
-            queued_size=self._size_in - self._size_out,
-            most_queued_size=self._most_queued_size,
-        )
 
     def put(self, data: bytes, arrival_ns: int, *, short_packet: bool) -> None:
         """Append a transfer, or drop it if there is no room.
@@ -151,55 +150,41 @@ class TransferQueue:
             arrival_ns: Host time of arrival [ns since the Unix epoch].
             short_packet: Whether the camera ended it before the buffer was full.
         """
-        self._transfers += 1
-        self._size += len(data)
-        queued_size = self._size_in - self._size_out + len(data)
-        if queued_size > self._limit:
-            self._dropped_transfers += 1
-            self._dropped_size += len(data)
+        counters = self.counters
+        counters.transfers += 1
+        counters.size += len(data)
+        self._stalls_in_a_row = 0
+        if counters.queued_size > self._limit:
+            counters.dropped_transfers += 1
+            counters.dropped_size += len(data)
             self._gap += gap_of(data)
             return
         self._waiting.append(Transfer(data, arrival_ns, short_packet, self._gap))
         self._gap = Gap()
-        self._size_in += len(data)
-        self._most_queued_size = max(self._most_queued_size, queued_size)
+        counters.most_queued_size = max(counters.most_queued_size, counters.queued_size)
 
     def pop(self) -> Transfer | None:
         """Return the oldest transfer, or None if there is none."""
         if not self._waiting:
             return None
         transfer = self._waiting.popleft()
-        self._size_out += len(transfer.data)
+        self.counters.taken_size += len(transfer.data)
         return transfer
 
-
-LONGEST_READ_S = 0.1
-"""Longest read, and delay of noticing `stop` in another thread."""
-MOST_STALLS = 5
-"""Consecutive stalls after which clearing them is given up."""
-
-
-class Stalls:
-    """Counts stalls of the endpoint: a few may be cleared, many in a row are a failure.
-
-    Attributes:
-        total: Stalls since construction.
-        in_a_row: Stalls since the latest data; the reader sets it back.
-    """
-
-    def __init__(self) -> None:
-        self.total = self.in_a_row = 0
-
-    def note(self, error: USBError) -> None:
-        """Count a failed read.
+    def note_failure(self, error: USBError) -> None:
+        """Count a failed read: a few stalls in a row may be cleared.
 
         Raises:
             UsbError: It was no stall, or there were too many.
         """
-        self.total += 1
-        self.in_a_row += 1
-        if error.errno != errno.EPIPE or self.in_a_row > MOST_STALLS:
+        self.counters.stalls += 1
+        self._stalls_in_a_row += 1
+        if error.errno != errno.EPIPE or self._stalls_in_a_row > MOST_STALLS:
             raise usb_failure(error, 'reading data') from error
+
+
+LONGEST_READ_S = 0.1
+"""Longest read, and delay of noticing `stop` in another thread."""
 
 
 class BulkReader:
@@ -210,6 +195,9 @@ class BulkReader:
             pyusb does.
         clear_halt: Clears a stall of the endpoint.
         transfer_size: Bytes requested per read.
+
+    Attributes:
+        counters: Counters since construction.
     """
 
     def __init__(
@@ -223,13 +211,8 @@ class BulkReader:
         self._clear_halt = clear_halt
         self._buffer = array('B', bytes(transfer_size))
         self._queue = TransferQueue(transfer_size)
+        self.counters = self._queue.counters
         self._stopping = threading.Event()
-        self._stalls = Stalls()
-
-    @property
-    def counters(self) -> TransportCounters:
-        """Counters since construction."""
-        return self._queue.counters(self._stalls.total)
 
     def start(self) -> None:
         """Do nothing: the first `get` starts reading."""
@@ -254,14 +237,13 @@ class BulkReader:
         except USBTimeoutError:
             count = 0
         except USBError as error:
-            self._stalls.note(error)
+            self._queue.note_failure(error)
             self._clear_halt()
             return None
         except OSError as error:
             raise UsbError(f'reading data: {error}') from error
         if not count:
             return None
-        self._stalls.in_a_row = 0
         data = bytes(memoryview(self._buffer)[:count])
         self._queue.put(data, time.time_ns(), short_packet=count < len(self._buffer))
         return self._queue.pop()

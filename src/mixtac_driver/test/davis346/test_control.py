@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
-from mixtac_driver.davis346.control import CameraControl
+from mixtac_driver.davis346.control import COUNTERS, CameraControl, read_64
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.parameters import DriverParameters
 
@@ -177,10 +177,36 @@ def test_a_closed_camera_takes_settings_and_no_requests():
     control.apply(DriverParameters(aps_exposure=5))
     assert control.set_exposure(6)
     assert control.parameters.aps_exposure == 6
-    assert control.statistics() is None
+    assert control.statistics() == {}
     for request in (control.request_frame, control.reset_timestamps):
         with pytest.raises(DriverError):
             request()
+
+
+def test_counters_are_64_bits_upper_half_first():
+    halves = {(int(m), int(p) + 1): k for k, (m, p) in enumerate(COUNTERS.values())}
+    fake = FakeCamera(registers={**halves, (1, 81): 1})
+    with Davis346(backend=FakeBackend(fake)) as camera:
+        counted = camera.control.statistics()
+    assert counted == {**{name: k for k, name in enumerate(COUNTERS)}, 'rows': 1 << 32}
+
+
+class Ticking:
+    """A 64-bit counter that goes on with every read of one of its halves."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def read(self, _module, parameter):
+        self.value += 1
+        value = self.value - 1
+        return value >> 32 if parameter == 83 else value & 0xFFFFFFFF
+
+
+@pytest.mark.parametrize('start', [(1 << 32) - 3, (1 << 32) - 2, (1 << 32) - 1, 1 << 32, 5])
+def test_an_overflow_between_the_halves_is_noticed(start):
+    counter = Ticking(start)
+    assert start <= read_64(counter, 1, 83) <= counter.value
 
 
 def test_clock_is_reset_when_asked_and_published_time_goes_on(camera, fake):

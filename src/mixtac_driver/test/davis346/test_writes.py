@@ -69,13 +69,6 @@ def test_default_writes_are_the_102_of_libcaer_in_its_order(identity):
     assert len(writes) == 102
 
 
-def test_blocks_the_logic_lacks_are_left_alone(identity):
-    features = replace(identity.features, roi=False, pixel_filter=False, generator=False)
-    lacking = replace(identity, features=features, imu_type=1)
-    addresses = {w[:2] for w in register_writes(LIBCAER, lacking)}
-    assert not addresses & {(1, 41), (1, 11), (4, 11), (3, 9)}
-
-
 @pytest.mark.parametrize(
     ('change', 'kind', 'value'),
     [

@@ -160,8 +160,8 @@ def test_lost_bytes_keep_the_time_and_do_not_mix_what_they_part(words, a, b):
     decoder = StreamDecoder(Geometry())
     collected = Collected(decoder)
     collected.take(decoder.push(np.array(words[:first], '<u2')))
-    decoder.skip(gap_of(lost[: len(lost) // 4 * 2]) + gap_of(lost[len(lost) // 4 * 2 :]))
-    collected.take(decoder.push(np.array([*words[last:], 0x7001], '<u2')))
+    gap = gap_of(lost[: len(lost) // 4 * 2]) + gap_of(lost[len(lost) // 4 * 2 :])
+    collected.take(decoder.push(np.array([*words[last:], 0x7001], '<u2'), gap=gap))
     oracle = Oracle(Geometry()).words([*words, 0x7001])
     assert decoder.time_us == oracle.t
     assert collected.times[-1][0] == oracle.resets
@@ -211,7 +211,6 @@ def test_events_after_lost_bytes_wait_for_a_row():
     decoder = StreamDecoder(Geometry())
     collected = Collected(decoder)
     collected.take(decoder.push(np.array([0x1003, 0x2004], '<u2')))
-    decoder.skip(Gap(10))
-    collected.take(decoder.push(np.array([0x2005, 0x1006, 0x2007], '<u2')))
+    collected.take(decoder.push(np.array([0x2005, 0x1006, 0x2007], '<u2'), gap=Gap(10)))
     assert [e[2:4] for e in collected.events] == [(3, 4), (6, 7)]
     assert decoder.counters.events_without_row == 1

@@ -213,16 +213,3 @@ def test_an_absent_camera_is_an_error_until_it_is_there_and_packets_go_on(camera
     times = [packet.time_base for packet in packets]
     assert times == sorted(times)
     assert graph.stop()[0] == 0
-
-
-def test_fail_stop_ends_the_process_with_one_line_and_status_1(camera, graph):
-    camera.plug_in()
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    graph.start(DRIVER, camera.device, 'recovery_policy:=fail_stop')
-    graph.spin_until(lambda: len(graph.got['/mixtac/events']) > 20)
-    inject(camera.path, Fault(FaultKind.UNPLUG))
-    assert graph.process.wait(15) == 1
-    lines = [line for line in graph.process.stderr.splitlines() if line.startswith('error: ')]
-    assert len(lines) == 1
-    assert 'unplugged' in lines[0]
-    assert 'Traceback' not in graph.process.stderr

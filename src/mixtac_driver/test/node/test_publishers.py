@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import pytest
 
@@ -13,20 +11,25 @@ pytest.importorskip('event_camera_msgs.msg')
 pytest.importorskip('mixtac_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
-from sensor_msgs.msg import CameraInfo
-from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode_message
 from mixtac_core.events.packets import read_packet
-from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.events.readings import (
+    NO_EDGES,
+    NO_SAMPLES,
+    DecodedBatch,
+    Edges,
+    Frame,
+    InertialSamples,
+)
 from mixtac_core.node import topics
 from mixtac_core.node.stamps import stamp_to_us
-from mixtac_driver.camera import Davis346
-from mixtac_driver.camera_info import CameraCalibration, write_camera_info
+from mixtac_driver.camera import CameraBatch, Davis346
+from mixtac_driver.camera_info import CalibratedCamera, CameraCalibration, write_camera_info
+from mixtac_driver.clock import Origin
 from mixtac_driver.node import publishers as edge_publisher
 from mixtac_driver.node.publishers import (
-    CalibrationPublisher,
     ClockPublisher,
     EdgePublisher,
     EventPublisher,
@@ -58,13 +61,6 @@ class Node:
 
     def __init__(self):
         self.topics = {}
-        self.services = []
-
-    def create_service(self, _kind, name, call):
-        self.services.append((name, call))
-
-    def get_logger(self):
-        return logging.getLogger('driver')
 
     def publish_topic(self, topic):
         return self.topics.setdefault(topic.name, Publisher())
@@ -82,6 +78,11 @@ def node():
 def identity():
     with Davis346(backend=FakeBackend(FakeCamera())) as camera:
         return camera.identity
+
+
+def batch(time_us):
+    decoded = DecodedBatch(Events.empty(), (), NO_SAMPLES, NO_EDGES, time_us, 1)
+    return CameraBatch(decoded, Origin(ORIGIN_US * 1000, 0), (ORIGIN_US + time_us) * 1000)
 
 
 def edges(count):
@@ -152,20 +153,20 @@ def test_packets_after_a_pause_begin_where_the_stream_is(node):
     meters = DriverMeters()
     publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, meters)
     topic = node.topics['events']
-    assert not publisher.wanted
-    topic.listeners = 1
-    assert publisher.wanted
 
     def publish(start_us):
         for t_us in range(start_us, start_us + 5000, 500):
             xy = np.array([1], np.uint16)
             events = Events(np.array([t_us]), xy, xy, np.array([True]))
-            publisher.publish(events, t_us + 400, t_us * 1000, (346, 260))
+            publisher.publish(events, batch(t_us + 400), (346, 260))
 
-    publish(ORIGIN_US)
+    publish(0)
+    assert not topic.sent
+    topic.listeners = 1
+    publish(10_000)
     before = len(topic.sent)
     publisher.restart()
-    publish(ORIGIN_US + 10**6)
+    publish(10**6)
     packets = [read_packet(message) for message in topic.sent]
     decoded = [decode_message(packet) for packet in packets]
     assert [packet.seq for packet in packets] == list(range(len(packets)))
@@ -191,49 +192,20 @@ def board(tmp_path):
     return str(path)
 
 
-def rectified(node, tmp_path, **wanted):
-    p = DriverParameters(camerainfo_url=board(tmp_path), **wanted)
-    return CalibrationPublisher(node, p)
-
-
-def test_undistorted_topics_exist_only_where_they_are_asked_for(node, tmp_path):
-    rectified(node, tmp_path)
-    assert set(node.topics) == set()
-    rectified(node, tmp_path, undistort_events=True)
-    assert set(node.topics) == {'events_rect'}
-
-
 def test_events_come_at_undistorted_pixels(node, tmp_path):
-    publisher = rectified(node, tmp_path, undistort_events=True)
-    publisher.use((346, 260))
-    for topic in node.topics.values():
-        topic.listeners = 1
-    t = np.arange(3, dtype=np.int64) + ORIGIN_US
+    p = DriverParameters(camerainfo_url=board(tmp_path), undistort_events=True)
+    calibration = CalibratedCamera(p)
+    calibration.use_size((346, 260))
+    publisher = EventPublisher(node, p, topics.EVENTS_RECT, move=calibration.undistort)
+    topic = node.topics['events_rect']
+    topic.listeners = 1
     x, y = np.array([20, 340, 0], np.uint16), np.array([30, 30, 0], np.uint16)
-    events = Events(t, x, y, np.array([True, True, False]))
-    publisher.events.publish(events, ORIGIN_US + 1, 0, (346, 260))
-    publisher.events.publish(Events.empty(), ORIGIN_US + 2000, 0, (346, 260))
-    got = decode_message(read_packet(node.topics['events_rect'].sent[0])).events
+    events = Events(np.arange(3, dtype=np.int64), x, y, np.array([True, True, False]))
+    publisher.publish(events, batch(1), (346, 260))
+    publisher.publish(Events.empty(), batch(2000), (346, 260))
+    got = decode_message(read_packet(topic.sent[0])).events
     assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
     assert got.t[0] == ORIGIN_US
-
-
-def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, tmp_path):
-    publisher = rectified(node, tmp_path)
-    name, save = node.services[0]
-    assert name == '~/set_camera_info'
-    request, response = SetCameraInfo.Request(), SetCameraInfo.Response()
-    assert not save(request, response).success
-    publisher.use((346, 260))
-    info = publisher.complete(CameraInfo())
-    assert info.k[0] == 200.0
-    request.camera_info = info
-    request.camera_info.k[0] = 210.0
-    assert save(request, response).success, response.status_message
-    assert publisher.complete(CameraInfo()).k[0] == 210.0
-    request.camera_info.width = 640
-    assert not save(request, response).success
-    assert '640' in response.status_message
 
 
 def test_recorded_time_is_published_once_a_millisecond_and_never_back(node):

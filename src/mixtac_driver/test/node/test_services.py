@@ -14,10 +14,13 @@ import pytest
 pytest.importorskip('std_srvs.srv')
 
 from davis_fake import FakeBackend, FakeCamera
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
 from mixtac_driver.camera import CameraBatch, Davis346
+from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.clock import Origin
 from mixtac_driver.node import services as driver_services
 from mixtac_driver.node.services import DriverServices, NextFrame
@@ -51,7 +54,8 @@ class Rig:
         self.settings = DriverSettings(parameters)
         self.camera = Davis346(parameters, backend=FakeBackend(self.fake))
         self.node = Node()
-        self.services = DriverServices(self.node, self.camera, self.settings)
+        self.calibration = CalibratedCamera(parameters)
+        self.services = DriverServices(self.node, self.camera, self.settings, self.calibration)
         self.stop = threading.Event()
         self.filters = []
         self.time_us = 0
@@ -80,6 +84,7 @@ def rig(monkeypatch, tmp_path):
         DriverParameters(),
         hot_pixels_duration=0.3,
         hot_pixels_file='mask.png',
+        camerainfo_url=str(tmp_path / 'davis346.yaml'),
         aps_enabled=False,
         aps_frame_interval=1000,
     )
@@ -141,12 +146,21 @@ def test_without_a_stream_the_mask_stays(rig, monkeypatch):
     assert rig.settings.mask.pixels == ((300, 200),)
 
 
-def test_a_file_that_cannot_be_written_is_refused_before_counting(rig):
-    rig.settings.parameters = replace(rig.settings.parameters, hot_pixels_file='/none/mask.png')
+def test_a_calibration_is_stored_and_used(rig):
     rig.decode(lambda: None)
-    answer = rig.node.call('~/find_hot_pixels')
-    assert not answer.success
-    assert '/none/mask.png' in answer.message
+    save = rig.node.services['~/set_camera_info']
+    request, response = SetCameraInfo.Request(), SetCameraInfo.Response()
+    assert not save(request, response).success
+    rig.calibration.use_size(SIZE)
+    info = request.camera_info
+    info.width, info.height, info.distortion_model, info.d = 346, 260, 'plumb_bob', [0.0] * 5
+    info.k = info.r = np.diag([200.0, 200.0, 1.0]).ravel()
+    info.p = np.eye(3, 4).ravel()
+    assert save(request, response).success, response.status_message
+    assert rig.calibration.complete(CameraInfo()).k[0] == 200.0
+    info.width = 640
+    assert not save(request, response).success
+    assert CalibratedCamera(rig.settings.parameters).calibration.size == SIZE
 
 
 def frame(start_us):

@@ -20,7 +20,7 @@ def test_a_full_queue_drops_the_newest_counts_them_and_keeps_the_time():
     queue = TransferQueue(8)
     for k in range(10):
         queue.put(words(0x8000 | k, 0x7000 | k), k, short_packet=True)
-    counters = queue.counters()
+    counters = queue.counters
     assert (counters.transfers, counters.size) == (10, 40)
     assert (counters.dropped_transfers, counters.dropped_size) == (8, 32)
     assert (counters.queued_size, counters.most_queued_size) == (8, 8)
@@ -42,13 +42,13 @@ def test_what_goes_in_comes_out_or_is_counted(limit, steps):
     for step in [*steps, *[None] * len(steps)]:
         if step is not None:
             queue.put(step, 0, short_packet=False)
-            assert queue.counters().queued_size <= limit
+            assert queue.counters.queued_size <= limit
             continue
         transfer = queue.pop()
         if transfer is not None:
             dropped += transfer.gap.size
             out += transfer.data
-    counters = queue.counters()
+    counters = queue.counters
     assert counters.queued_size == len(queue) == 0
     assert len(out) + counters.dropped_size == len(sent) == counters.size
     assert dropped <= counters.dropped_size
