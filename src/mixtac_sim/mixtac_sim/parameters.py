@@ -50,8 +50,6 @@ class VirtualSensorParameters(VirtualCameraParameters):
         play_on_start: Play the scenario once a driver reads the camera
         loop: Repeat the scenario without end, each time with a new seed
         reference_topic: Topic of the reference force sensor
-        reference_frame_id: Frame of the reference force sensor
-        truth_frame_id: Frame of the true contact force
     """
 
     scenario: str = parameter('demo', choices=tuple(PROFILES))
@@ -61,8 +59,6 @@ class VirtualSensorParameters(VirtualCameraParameters):
     play_on_start: bool = parameter(False)
     loop: bool = parameter(False)
     reference_topic: str = fixed(topics.REFERENCE)
-    reference_frame_id: str = fixed(topics.REFERENCE_FRAME)
-    truth_frame_id: str = fixed(topics.CONTACT_FRAME)
 
 
 @dataclass(frozen=True)
@@ -109,8 +105,6 @@ class VirtualArmParameters:
         joint_state_topic: Topic of the published joint states
         state_rate: Rate of the published joint states
         update_rate: Update rate of the emulated controller
-        release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
-            later
         tracking_lag: Time constant with which the arm follows its commands (estimate)
     """
 
@@ -118,5 +112,4 @@ class VirtualArmParameters:
     joint_state_topic: str = fixed('/joint_states')
     state_rate: float = fixed(250.0, unit='Hz', within=(1.0, 1000.0))
     update_rate: float = fixed(1000.0, unit='Hz', within=(100.0, 4000.0))
-    release: str = fixed('jazzy', choices=('humble', 'jazzy'))
     tracking_lag: float = fixed(3.5e-3, unit='s', within=(0.0, 0.1))

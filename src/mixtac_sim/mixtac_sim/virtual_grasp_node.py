@@ -29,7 +29,7 @@ from mixtac_core.node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim import SimulationError
 from mixtac_sim.arm import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
-from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
+from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.grids import stream
 from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
@@ -203,10 +203,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
 
 def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGrasp, VirtualSensor]:
     """Return the grasp and the sensor that runs it."""
-    name: ObjectName = next(each for each in OBJECTS if each == settings.object)
     level = preset(settings.preset)
     rng = stream(settings.seed, 'virtual grasp')
-    setup = draw_setup(name, rng, margin=settings.margin)
+    setup = draw_setup(settings.object, rng, margin=settings.margin)
     drawn = settings.device_seed, settings.seed, level, clock
     grasp = LiveGrasp(setup, *drawn, open_first=not settings.publish_force)
     sensor = make_virtual_sensor(

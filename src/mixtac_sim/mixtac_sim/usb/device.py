@@ -21,7 +21,7 @@ from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
-from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
+from mixtac_sim.usb.faults import Fault, FaultInjector
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
 from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
 from mixtac_sim.usb.words import ImuReading
@@ -83,9 +83,17 @@ class VirtualDavis346:
 
     # The host's side.
 
-    def unplug(self) -> None:
-        """Remove the device: requests under way and later ones end with `UsbGone`."""
-        self.inject(Fault(FaultKind.UNPLUG))
+    def unplug(self, seconds: float = math.inf, serial: str = '') -> None:
+        """Remove the device: requests under way and later ones end with `UsbGone`.
+
+        Args:
+            seconds: Time after which it is plugged in again [s].
+            serial: Serial number to come back with, empty for the same.
+        """
+        with self._condition:
+            self._presence.unplug(seconds)
+            self._next_serial = serial
+            self._faults.clear()
 
     def plug_in(self, serial: str = '') -> None:
         """Bring the device back as after power-up; earlier sessions stay dead.
@@ -102,22 +110,17 @@ class VirtualDavis346:
     def inject(self, fault: Fault) -> None:
         """Inject a fault."""
         with self._condition:
-            if fault.kind is FaultKind.UNPLUG:
-                self._presence.unplug(fault.seconds or math.inf)
-                self._next_serial = fault.serial
-                self._faults.clear()
-            elif fault.kind is FaultKind.PLUG_IN:
-                self.plug_in(fault.serial)
-            elif fault.kind is FaultKind.CLEAR:
-                self._faults.clear()
-            elif fault.kind is FaultKind.CLOCK_RESET:
-                self._restart_time(announce=True)
-            elif fault.kind is FaultKind.GARBAGE_WORDS:
-                rng = np.random.default_rng(fault.seed)
-                self._fifo.push(rng.integers(0, 1 << 16, fault.size // 2, np.uint16))
-                self._data.announce(was_empty=False)
-            else:
-                self._faults.begin(fault)
+            self._faults.begin(fault)
+
+    def clear_faults(self) -> None:
+        """End all faults."""
+        with self._condition:
+            self._faults.clear()
+
+    def restart_clock(self) -> None:
+        """Restart the camera's clock, as by the synchronisation cable."""
+        with self._condition:
+            self._restart_time(announce=True)
 
     def control(
         self,
@@ -181,11 +184,8 @@ class VirtualDavis346:
             UsbStall: There is no such endpoint, or it is halted.
             UsbGone: The device was unplugged.
         """
-        self._before_read(endpoint, timeout_s)
-        with self._condition:
-            self.check_present()
-            out = np.empty(self._data.wait(endpoint, length, timeout_s), np.uint8)
-            return out[: self._fifo.pop_into(out)].tobytes()
+        buffer = bytearray(length)
+        return bytes(buffer[: self.read_into(endpoint, buffer, timeout_s)])
 
     def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
         """Wait for data like `read_bulk`, without a copy.
@@ -201,7 +201,6 @@ class VirtualDavis346:
         Raises:
             VirtualUsbError: As `read_bulk`.
         """
-        self._before_read(endpoint, timeout_s)
         out = np.frombuffer(buffer, np.uint8)
         with self._condition:
             self.check_present()
@@ -358,14 +357,6 @@ class VirtualDavis346:
             }
 
     # Internal; the lock is held.
-
-    def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
-        """Prepare a read, without the lock; for cameras that produce data on request.
-
-        Args:
-            endpoint: The endpoint.
-            timeout_s: Longest wait of the host [s]; None waits without limit.
-        """
 
     def _plug_in_if_due(self) -> None:
         if self._presence.is_due:

@@ -329,10 +329,6 @@ class DataEndpoint:
             return
         self._condition.notify_all()
 
-    def flush(self) -> None:
-        """Answer the next read with what is there, without the early packet delay."""
-        self._oldest_s = 0.0
-
     def wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
         """Wait until a read can be answered.
 

@@ -16,7 +16,7 @@ from typing import Final
 
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import Fault, UsbTimeout, VirtualUsbError
+from mixtac_sim.usb.faults import UsbTimeout, VirtualUsbError
 
 # How long a read may wait in the device before the server checks that the host is still there.
 _SLICE_S: Final = 0.25
@@ -168,9 +168,6 @@ class UsbServer:
         operation, kind, request, value, index, length, timeout_ms, _ = header
         incoming = kind & wire.DIRECTION_IN and operation == wire.CONTROL
         data = length if incoming else wire.receive(connection, _checked(length))
-        if operation == wire.FAULT and isinstance(data, bytes):
-            self._device.inject(Fault.from_json(data))
-            return b''
         self._device.check_present(session.plugs)
         if operation == wire.CONTROL:
             limit_s = timeout_ms / 1000 or None

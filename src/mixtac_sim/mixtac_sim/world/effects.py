@@ -18,7 +18,6 @@ from types import MappingProxyType
 import yaml
 
 from mixtac_sim import SimulationError
-from mixtac_sim.mechanics.elastomer import IndenterName
 
 Range = tuple[float, float]
 
@@ -206,7 +205,7 @@ class ContactEffects:
     friction_day: Range = (1.0, 1.0)
     friction_load: float = 0.0
     partial_slip: bool = False
-    indenters: tuple[IndenterName, ...] = ('hemisphere',)
+    indenters: tuple[str, ...] = ('hemisphere',)
     staircase: bool = False
 
 

@@ -16,7 +16,6 @@ import pytest
 
 from mixtac_core.recordings.dataset import DatasetDescription
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_sim import SimulationError
 from mixtac_sim.bags import trial_bag
 from mixtac_sim.bags.trial_bag import UNFINISHED, generate, is_finished, write_trial
 from mixtac_sim.world.plans import describe, plan_profile
@@ -125,14 +124,6 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
             generate(description(), tmp_path)
     finally:
         os.close(handle)
-
-
-def test_what_cannot_be_simulated_leaves_nothing_behind(tmp_path):
-    wrong = description(trials=1)
-    wrong = replace(wrong, trials=(replace(wrong.trials[0], seconds=1.0),))
-    with pytest.raises(SimulationError):
-        generate(wrong, tmp_path)
-    assert not is_finished(tmp_path, 'trial_000')
 
 
 def test_a_bag_that_cannot_be_written_is_named(tmp_path):

@@ -65,7 +65,7 @@ def refusal(client, kind, folder):
     return said.read_text()
 
 
-@pytest.mark.parametrize('client', ['ours', 'libcaer', 'neuromorphic', 'dv'])
+@pytest.mark.parametrize('client', ['ours', 'libcaer', 'dv'])
 @pytest.mark.parametrize(
     ('kind', 'part', 'version'), [(OtherLogic, 'logic', '17'), (OtherFirmware, 'firmware', '5')]
 )
