@@ -34,6 +34,8 @@ READY = np.radians([0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])
 Q_LOWER = np.array([-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159])
 Q_UPPER = np.array([2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159])
 """Positions [rad]."""
+SIDEWAYS = np.array([0.0, 1.0, 0.0])
+"""Direction in the base frame along which the fingertip advances."""
 DQ_MAX = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
 """Speeds [rad/s]; near the ends of a joint's range less is allowed."""
 DDQ_MAX = 10.0

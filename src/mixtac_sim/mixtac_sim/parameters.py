@@ -72,9 +72,6 @@ class VirtualGraspParameters(VirtualCameraParameters):
         knock: Speed that an impact (~/knock) gives the object
         knock_every: Time between impacts; 0 for only those that ~/knock asks for
         joint_state_topic: Topic of the arm's joint positions
-        normal_x: Contact normal (unit vector) in the base frame, x component
-        normal_y: Contact normal (unit vector) in the base frame, y component
-        normal_z: Contact normal (unit vector) in the base frame, z component
         publish_force: Publish the true force on `force`, on the clock of the camera. Where an
             estimator does, set it to false: the fingertip then touches nothing until the first
             ~/put_back, for the zero
@@ -89,9 +86,6 @@ class VirtualGraspParameters(VirtualCameraParameters):
     knock: float = parameter(50.0, unit='mm/s', within=(0.0, 500.0))
     knock_every: float = parameter(0.0, unit='s', within=(0.0, 3600.0))
     joint_state_topic: str = fixed('/joint_states')
-    normal_x: float = fixed(0.0)
-    normal_y: float = fixed(1.0)
-    normal_z: float = fixed(0.0)
     publish_force: bool = fixed(True)
     publish_clock: bool = fixed(False)
 

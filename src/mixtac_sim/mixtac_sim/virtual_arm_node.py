@@ -18,6 +18,7 @@ from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
     JOINT_NAMES,
     READY,
+    SIDEWAYS,
     JointTrajectoryController,
     LaggingArm,
     Trajectory,
@@ -30,7 +31,6 @@ BEFORE_S = 100.0
 """The controller's time at the start [s]: a stamp of zero would mean something else."""
 MAX_CATCH_UP_S = 60.0
 """A longer gap is a clock that was set (simulated time has begun): the arm rests after it [s]."""
-SIDEWAYS = np.array([0.0, 1.0, 0.0])
 LIMITS_SEEN = 4
 """Commands that a jerk is computed from."""
 

@@ -26,7 +26,6 @@ READ: Final = 2
 CLAIM: Final = 3
 RELEASE: Final = 4
 RESET: Final = 5
-MAX_TRANSFER: Final = 16 << 20
 DIRECTION_IN: Final = 0x80
 
 

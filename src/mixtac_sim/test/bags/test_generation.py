@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
 import subprocess
 import sys
@@ -114,16 +112,6 @@ def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
     with pytest.raises(RecordingError):
         generate(description(), tmp_path)
-
-
-def test_two_runs_do_not_share_a_folder(tmp_path):
-    handle = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    try:
-        with pytest.raises(RecordingError):
-            generate(description(), tmp_path)
-    finally:
-        os.close(handle)
 
 
 def test_a_bag_that_cannot_be_written_is_named(tmp_path):

@@ -142,28 +142,6 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
         assert [rates.x, rates.y, rates.z] == angular[index].tolist()
 
 
-def test_messages_are_byte_for_byte_those_of_the_driver(folder, decoded):
-    pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
-    from rclpy.serialization import serialize_message
-
-    from mixtac_core.recordings import messages
-
-    origin = TrialClocks(SPEC.trial_seed).origin_us
-    frame, samples = decoded[1][0], decoded[2][0]
-    image = messages.image(frame, origin, 0, 'camera')
-    wanted = {
-        '/mixtac/image_raw': image,
-        '/mixtac/image_exposure': messages.frame_exposure(frame, origin, image),
-        '/mixtac/imu/data_raw': messages.imu(samples, 0, origin, 'imu'),
-        '/mixtac/temperature': messages.temperature(
-            float(samples.temperature[0]), int(samples.t[0]) + origin, 'imu'
-        ),
-    }
-    found = first_messages(folder)
-    for topic, message in wanted.items():
-        assert same_but_padding(found[topic], serialize_message(message)), topic
-
-
 def test_messages_are_what_ros_makes_of_their_own_content(folder):
     pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
     from rclpy.serialization import deserialize_message, serialize_message
