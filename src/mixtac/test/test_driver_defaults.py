@@ -3,9 +3,8 @@
 """Simulated bags have the defaults of the driver, which the simulator cannot import."""
 
 from mixtac_core.events.packetizer import PACKET_BYTES, PACKET_PERIOD_US
-from mixtac_core.node.topics import CAMERA_FRAME, CONTACT_FRAME, IMU_FRAME, REFERENCE_FRAME
+from mixtac_core.node.topics import CAMERA_FRAME, IMU_FRAME
 from mixtac_driver.parameters import DriverParameters
-from mixtac_sim.parameters import VirtualSensorParameters
 from mixtac_sim.usb.words import ImuSettings
 
 
@@ -21,8 +20,3 @@ def test_simulated_bags_use_the_defaults_of_the_driver():
         accel_scale=p.imu_acc_scale,
         gyro_scale=p.imu_gyro_scale,
     )
-
-
-def test_simulated_bags_use_the_frames_of_the_virtual_sensor():
-    p = VirtualSensorParameters()
-    assert (p.reference_frame_id, p.truth_frame_id) == (REFERENCE_FRAME, CONTACT_FRAME)

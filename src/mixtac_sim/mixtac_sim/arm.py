@@ -7,16 +7,16 @@ Denavit-Hartenberg parameters and positions: Franka's documentation and franka_d
 joint speed at mid range; acceleration and jerk: libfranka.
 
 The controller is a joint_trajectory_controller of ros2_control, written from the behaviour of
-ros2_controllers' source and its issues 697, 780 and 1306: a message takes effect at the next cycle
-and replaces the one before; before its first point the motion goes from the last command; points
-with position, velocity and acceleration are joined by quintics, with velocity by cubics, else by
-lines; after the last point that point is held. Each joint follows its command with a lag.
+ros2_controllers' source and its issues 697, 780 and 1306 (Jazzy and later): a message takes effect
+at the next cycle and replaces the one before; before its first point the motion goes from the last
+command; quintics join the points, which give position, velocity and acceleration; after the last
+point that point is held. The command is that of one period ahead. Each joint follows its command
+with a lag.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -34,6 +34,8 @@ READY = np.radians([0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])
 Q_LOWER = np.array([-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159])
 Q_UPPER = np.array([2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159])
 """Positions [rad]."""
+SIDEWAYS = np.array([0.0, 1.0, 0.0])
+"""Direction in the base frame along which the fingertip advances."""
 DQ_MAX = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
 """Speeds [rad/s]; near the ends of a joint's range less is allowed."""
 DDQ_MAX = 10.0
@@ -89,15 +91,14 @@ def violations(q: Floats, period_s: float) -> int:
 
 
 @njit(cache=True, nogil=True)
-def interpolate(start: Floats, end: Floats, span_s: float, since_s: float, order: int) -> Floats:
-    """Return the state between two states.
+def interpolate(start: Floats, end: Floats, span_s: float, since_s: float) -> Floats:
+    """Return the state between two states on the quintic that joins them.
 
     Args:
         start: Position, velocity, acceleration [3, joint] [rad, rad/s, rad/s2].
         end: The same at the end.
         span_s: Time between them [s], positive.
         since_s: Time since the start [s].
-        order: 1 joins positions, 3 also velocities, 5 also accelerations.
 
     Returns:
         State [3, joint].
@@ -106,22 +107,13 @@ def interpolate(start: Floats, end: Floats, span_s: float, since_s: float, order
     u = since_s / span_s
     for j in range(start.shape[1]):
         step = end[0, j] - start[0, j]
-        if order == 1:
-            state[0, j] = start[0, j] + u * step
-            state[1, j] = step / span_s
-            continue
         # In units of the span: p(u) = p0 + v0 u + a2 u^2 + ... + a5 u^5.
         v0, v1 = span_s * start[1, j], span_s * end[1, j]
-        if order == 3:
-            a2, a3, a4, a5 = 3.0 * step - 2.0 * v0 - v1, v0 + v1 - 2.0 * step, 0.0, 0.0
-        else:
-            half0 = 0.5 * span_s * span_s * start[2, j]
-            half1 = 0.5 * span_s * span_s * end[2, j]
-            gap, turn, bend = step - v0 - half0, v1 - v0 - 2.0 * half0, half1 - half0
-            a2 = half0
-            a3 = 10.0 * gap - 4.0 * turn + bend
-            a4 = -15.0 * gap + 7.0 * turn - 2.0 * bend
-            a5 = 6.0 * gap - 3.0 * turn + bend
+        a2 = 0.5 * span_s * span_s * start[2, j]
+        gap, turn, bend = step - v0 - a2, v1 - v0 - 2.0 * a2, 0.5 * span_s**2 * end[2, j] - a2
+        a3 = 10.0 * gap - 4.0 * turn + bend
+        a4 = -15.0 * gap + 7.0 * turn - 2.0 * bend
+        a5 = 6.0 * gap - 3.0 * turn + bend
         state[0, j] = start[0, j] + u * (v0 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
         slope = v0 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * 5.0 * a5)))
         bent = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * 20.0 * a5))
@@ -133,13 +125,11 @@ def interpolate(start: Floats, end: Floats, span_s: float, since_s: float, order
 def warm_up() -> None:
     """Compile what the first trajectory would otherwise wait for."""
     rest = np.zeros((3, len(READY)))
-    interpolate(rest, rest, 1.0, 0.0, 5)
+    interpolate(rest, rest, 1.0, 0.0)
 
 
-Release = Literal['humble', 'jazzy']
-"""Humble commands the trajectory at the cycle's time and dates the last command one cycle late;
-Jazzy and later command it one period ahead."""
 START_EPSILON_S = 1e-12
+"""Time by which a trajectory may be asked for before its start [s]: rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,15 +140,15 @@ class Trajectory:
         stamp_s: Start [s] on the controller's clock; 0 means when it is first sampled.
         times_s: Times of the points since the start [n] [s], increasing.
         q: Joint positions [n, joint] [rad].
-        dq: Joint velocities [n, joint] [rad/s]; None if the points have none.
-        ddq: Joint accelerations [n, joint] [rad/s2]; None if the points have none.
+        dq: Joint velocities [n, joint] [rad/s].
+        ddq: Joint accelerations [n, joint] [rad/s2].
     """
 
     stamp_s: float
     times_s: Floats
     q: Floats
-    dq: Floats | None = None
-    ddq: Floats | None = None
+    dq: Floats
+    ddq: Floats
 
 
 class JointTrajectoryController:
@@ -169,13 +159,10 @@ class JointTrajectoryController:
 
     Args:
         update_rate_hz: Cycles per second.
-        release: Whose behaviour.
     """
 
-    def __init__(self, update_rate_hz: float = 1000.0, *, release: Release = 'jazzy') -> None:
+    def __init__(self, update_rate_hz: float = 1000.0) -> None:
         self._period_s = 1.0 / update_rate_hz
-        self._ahead_s = 0.0 if release == 'humble' else self._period_s
-        self._late = release == 'humble'
         self.reset(READY, 0.0)
 
     def reset(self, q: Floats, now_s: float) -> None:
@@ -228,16 +215,16 @@ class JointTrajectoryController:
     def _cycle(self, now_s: float) -> None:
         """Run one control cycle."""
         if self._pending is not None:
-            before_s = now_s if self._late else self._command_s
-            self._active = _Active(self._pending, self._command.copy(), before_s, now_s)
+            before = self._command.copy()
+            self._active = _Active(self._pending, before, self._command_s, now_s)
             self._pending = None
         if self._active is None:
             # Since its activation it holds a position, which is a trajectory like any other.
-            self._command_s = now_s + self._ahead_s
+            self._command_s = now_s + self._period_s
             return
-        sampled = self._active.at(now_s + self._ahead_s)
+        sampled = self._active.at(now_s + self._period_s)
         if sampled is not None:
-            self._command, self._command_s = sampled, now_s + self._ahead_s
+            self._command, self._command_s = sampled, now_s + self._period_s
 
     def _reason_against(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Return why the controller would reject a message."""
@@ -245,15 +232,15 @@ class JointTrajectoryController:
         if shape[0] == 0:
             return 'empty trajectory'
         for name, values in (('q', trajectory.q), ('dq', trajectory.dq), ('ddq', trajectory.ddq)):
-            if values is not None and values.shape != shape:
+            if values.shape != shape:
                 return f'{name} has the shape {values.shape}, not {shape}'
-            if values is not None and not np.isfinite(values).all():
+            if not np.isfinite(values).all():
                 return f'{name} is not finite'
         if np.any(np.diff(times) <= 0.0):
             return 'times of the points do not increase'
         if trajectory.stamp_s != 0.0 and trajectory.stamp_s + times[-1] < now_s:
             return f'ends at {trajectory.stamp_s + times[-1]:.6f} s, in the past of {now_s:.6f} s'
-        moving = trajectory.dq is not None and np.any(np.abs(trajectory.dq[-1]) > 1e-6)
+        moving = np.any(np.abs(trajectory.dq[-1]) > 1e-6)
         return 'velocity at the end is not zero' if moving else None
 
 
@@ -268,16 +255,11 @@ class _Active:
     """
 
     def __init__(self, fields: Trajectory, before: Floats, before_s: float, now_s: float) -> None:
-        self._fields = fields
         self._before = before
         self._before_s = before_s
         start = fields.stamp_s if fields.stamp_s != 0.0 else now_s
         self._times = start + np.asarray(fields.times_s, np.float64)
-        derivatives = [fields.dq, fields.ddq]
-        self._order = 1 if fields.dq is None else 3 if fields.ddq is None else 5
-        blank = np.zeros_like(fields.q)
-        columns = [blank if values is None else values for values in derivatives]
-        self._states = np.stack([fields.q, *columns], axis=1)
+        self._states = np.stack([fields.q, fields.dq, fields.ddq], axis=1)
 
     def at(self, t_s: float) -> Floats | None:
         """Return the state [3, joint] at a time [s]; None before it has begun."""
@@ -292,7 +274,7 @@ class _Active:
             ends = (self._times[k], self._times[k + 1])
             states = (self._states[k], self._states[k + 1])
         since_s, span_s = t_s - ends[0], ends[1] - ends[0]
-        return np.asarray(interpolate(states[0], states[1], span_s, since_s, self._order))
+        return np.asarray(interpolate(states[0], states[1], span_s, since_s))
 
 
 TRACKING_LAG_S = 3.5e-3

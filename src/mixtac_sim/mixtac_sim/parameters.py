@@ -50,8 +50,6 @@ class VirtualSensorParameters(VirtualCameraParameters):
         play_on_start: Play the scenario once a driver reads the camera
         loop: Repeat the scenario without end, each time with a new seed
         reference_topic: Topic of the reference force sensor
-        reference_frame_id: Frame of the reference force sensor
-        truth_frame_id: Frame of the true contact force
     """
 
     scenario: str = parameter('demo', choices=tuple(PROFILES))
@@ -61,8 +59,6 @@ class VirtualSensorParameters(VirtualCameraParameters):
     play_on_start: bool = parameter(False)
     loop: bool = parameter(False)
     reference_topic: str = fixed(topics.REFERENCE)
-    reference_frame_id: str = fixed(topics.REFERENCE_FRAME)
-    truth_frame_id: str = fixed(topics.CONTACT_FRAME)
 
 
 @dataclass(frozen=True)
@@ -76,9 +72,6 @@ class VirtualGraspParameters(VirtualCameraParameters):
         knock: Speed that an impact (~/knock) gives the object
         knock_every: Time between impacts; 0 for only those that ~/knock asks for
         joint_state_topic: Topic of the arm's joint positions
-        normal_x: Contact normal (unit vector) in the base frame, x component
-        normal_y: Contact normal (unit vector) in the base frame, y component
-        normal_z: Contact normal (unit vector) in the base frame, z component
         publish_force: Publish the true force on `force`, on the clock of the camera. Where an
             estimator does, set it to false: the fingertip then touches nothing until the first
             ~/put_back, for the zero
@@ -93,9 +86,6 @@ class VirtualGraspParameters(VirtualCameraParameters):
     knock: float = parameter(50.0, unit='mm/s', within=(0.0, 500.0))
     knock_every: float = parameter(0.0, unit='s', within=(0.0, 3600.0))
     joint_state_topic: str = fixed('/joint_states')
-    normal_x: float = fixed(0.0)
-    normal_y: float = fixed(1.0)
-    normal_z: float = fixed(0.0)
     publish_force: bool = fixed(True)
     publish_clock: bool = fixed(False)
 
@@ -109,8 +99,6 @@ class VirtualArmParameters:
         joint_state_topic: Topic of the published joint states
         state_rate: Rate of the published joint states
         update_rate: Update rate of the emulated controller
-        release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
-            later
         tracking_lag: Time constant with which the arm follows its commands (estimate)
     """
 
@@ -118,5 +106,4 @@ class VirtualArmParameters:
     joint_state_topic: str = fixed('/joint_states')
     state_rate: float = fixed(250.0, unit='Hz', within=(1.0, 1000.0))
     update_rate: float = fixed(1000.0, unit='Hz', within=(100.0, 4000.0))
-    release: str = fixed('jazzy', choices=('humble', 'jazzy'))
     tracking_lag: float = fixed(3.5e-3, unit='s', within=(0.0, 0.1))

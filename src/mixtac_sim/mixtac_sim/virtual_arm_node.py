@@ -18,9 +18,9 @@ from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
     JOINT_NAMES,
     READY,
+    SIDEWAYS,
     JointTrajectoryController,
     LaggingArm,
-    Release,
     Trajectory,
     violations,
     warm_up,
@@ -31,7 +31,6 @@ BEFORE_S = 100.0
 """The controller's time at the start [s]: a stamp of zero would mean something else."""
 MAX_CATCH_UP_S = 60.0
 """A longer gap is a clock that was set (simulated time has begun): the arm rests after it [s]."""
-SIDEWAYS = np.array([0.0, 1.0, 0.0])
 LIMITS_SEEN = 4
 """Commands that a jerk is computed from."""
 
@@ -49,9 +48,8 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, 'virtual_arm', self._status)
         with self._diagnostics.compiling('the simulated controller'):
             warm_up()
-        release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate
-        self._controller = JointTrajectoryController(parameters.update_rate, release=release)
+        self._controller = JointTrajectoryController(parameters.update_rate)
         self._arm = LaggingArm(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
         self._recent: list[Floats] = []
         self._first_s, self._cycles = BEFORE_S, 0
@@ -138,22 +136,15 @@ def _fields(message: JointTrajectory, start_s: float) -> Trajectory:
     """Return the fields of a message that the controller reads, with its start on its scale [s]."""
     points = message.points
 
-    def rows(name: str) -> Floats | None:
+    def rows(name: str) -> Floats:
         values = [getattr(point, name) for point in points]
-        if len({len(each) for each in values}) > 1:
-            # Of no shape that the controller accepts.
-            return np.empty((len(points), 0))
-        return np.array(values, np.float64) if values and all(len(v) for v in values) else None
+        # Rows of different lengths become a shape that the controller rejects.
+        even = len({len(each) for each in values}) == 1
+        return np.array(values if even else [], np.float64)
 
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
-    q = rows('positions')
-    return Trajectory(
-        start_s,
-        np.array(times, np.float64),
-        np.empty((len(points), 0)) if q is None else q,
-        rows('velocities'),
-        rows('accelerations'),
-    )
+    fields = (rows(name) for name in ('positions', 'velocities', 'accelerations'))
+    return Trajectory(start_s, np.array(times, np.float64), *fields)
 
 
 main = partial(run, VirtualArmNode)

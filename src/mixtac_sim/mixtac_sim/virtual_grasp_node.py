@@ -26,10 +26,9 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_core.node.stamps import ns_to_stamp, stamp_to_us
-from mixtac_sim import SimulationError
-from mixtac_sim.arm import JOINT_NAMES, flange_place
+from mixtac_sim.arm import JOINT_NAMES, SIDEWAYS, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
-from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
+from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.grids import stream
 from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
@@ -60,10 +59,6 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         super().__init__('virtual_grasp')
         self._settings = declare(self, VirtualGraspParameters, self._change)
         settings = self._settings
-        self._normal = np.array([settings.normal_x, settings.normal_y, settings.normal_z])
-        if abs(float(np.linalg.norm(self._normal)) - 1.0) > 1e-3:
-            msg = f'contact normal {self._normal.tolist()} is not of length 1; normalise it'
-            raise SimulationError(msg)
         path = settings.socket or default_socket_path()
         check_free(path)
         self._start_m: np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None = None
@@ -131,7 +126,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         place = flange_place(np.array([places[name] for name in JOINT_NAMES]))
         if self._start_m is None:
             self._start_m = place
-        self._grasp.move(1e3 * float((place - self._start_m) @ self._normal))
+        self._grasp.move(1e3 * float((place - self._start_m) @ SIDEWAYS))
 
     def _strike(self) -> None:
         self._grasp.strike(self._settings.knock)
@@ -203,10 +198,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
 
 def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGrasp, VirtualSensor]:
     """Return the grasp and the sensor that runs it."""
-    name: ObjectName = next(each for each in OBJECTS if each == settings.object)
     level = preset(settings.preset)
     rng = stream(settings.seed, 'virtual grasp')
-    setup = draw_setup(name, rng, margin=settings.margin)
+    setup = draw_setup(settings.object, rng, margin=settings.margin)
     drawn = settings.device_seed, settings.seed, level, clock
     grasp = LiveGrasp(setup, *drawn, open_first=not settings.publish_force)
     sensor = make_virtual_sensor(

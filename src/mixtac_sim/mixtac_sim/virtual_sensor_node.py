@@ -9,14 +9,12 @@ from functools import partial
 from threading import Event, Thread
 from typing import Any, Final
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from mixtac_core.events.errors import MixtacError
 from mixtac_core.node import topics
-from mixtac_core.node.base_node import QOS_FORCE, BaseNode, answering, declare, run
+from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.stamps import ns_to_stamp
 from mixtac_msgs.srv import Touch
@@ -40,7 +38,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time). The service
     ``~/play`` plays the scenario, ``~/touch`` presses, pulls, drops or releases an object.
-    ``~/force_command`` sets a force [N] that fades when no new one comes.
 
     Args:
         process: Where the sensor is simulated.
@@ -68,15 +65,11 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
         )
         self._truth = self.publish_topic(topics.TRUTH_WRENCH)
-        self._reference_writer = topics.WrenchWriter(self._settings.reference_frame_id)
-        self._truth_writer = topics.WrenchWriter(self._settings.truth_frame_id)
+        self._reference_writer = topics.WrenchWriter(topics.REFERENCE_FRAME)
+        self._truth_writer = topics.WrenchWriter(topics.CONTACT_FRAME)
         self._touch = TouchControl(self._sensor)
         self.create_service(Trigger, '~/play', answering(lambda _: self._play()))
         self.create_service(Touch, '~/touch', answering(self._on_touch))
-        self._commands_refused = 0
-        self._command = self.create_subscription(
-            WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
-        )
         clock = self._settings.publish_clock
         self._time = self.create_publisher(Clock, '/clock', 10) if clock else None
         self._sensor.start()
@@ -122,12 +115,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         names = request.get_fields_and_field_types()
         return self._touch.touch(**{name: getattr(request, name) for name in names})
 
-    def _on_force(self, message: WrenchStamped) -> None:
-        try:
-            self._touch.follow(message.wrench.force.z)
-        except MixtacError:
-            self._commands_refused += 1
-
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
             for batch in self._sensor.take_reference():
@@ -168,7 +155,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
                 'simulated': True,
                 'scenario': self._settings.scenario,
                 'plays': self._plays,
-                'force_commands_refused': self._commands_refused,
                 'socket': self._server.path,
                 **dataclasses.asdict(state),
                 **losses,

@@ -111,22 +111,6 @@ def test_touches_on_request_and_follows_commanded_forces(graph, path):
     answer = graph.call(Touch, service, Touch.Request(gesture='press', force=99.0))
     assert not answer.success
     assert '99.0' in answer.message
-
-    topic = '/mixtac/virtual_sensor/force_command'
-    publisher = graph.node.create_publisher(WrenchStamped, topic, QOS_FORCE)
-    command = WrenchStamped()
-
-    def commanded(force):
-        command.wrench.force.z = force
-        publisher.publish(command)
-        graph.executor.spin_once(timeout_sec=0.02)
-        return abs(normal_force(truth[-1:])[0] - force) < 0.02
-
-    for force in (0.8, 0.3):
-        graph.spin_until(lambda force=force: commanded(force))
-    graph.spin_until(lambda: normal_force(truth[-1:])[0] == 0.0)
-    commanded(float('nan'))
-    graph.spin_until(lambda: graph.diagnostics(NAME)['force_commands_refused'] == '1')
     assert graph.stop()[0] == 0
 
 

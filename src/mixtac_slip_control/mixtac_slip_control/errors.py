@@ -15,10 +15,6 @@ class ArmError(SlipControlError):
     """An arm, a state or a request that cannot be followed."""
 
 
-class RobotDescriptionError(ArmError):
-    """A URDF that holds no usable serial arm."""
-
-
 class UnreachableError(ArmError):
     """A pose or an advance that the arm cannot reach from where it stands."""
 

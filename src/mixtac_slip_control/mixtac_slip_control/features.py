@@ -236,8 +236,7 @@ class SlipFeatures:
     def warm_up(self) -> None:
         """Compile (or load) the kernels, for frames of 8 and of 16 bits."""
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
-        sums = self._sums, self._squares
-        window_sums(none16, none16, none, self._blank, BIN, *sums)
+        window_sums(none16, none16, none, self._blank, BIN, self._sums, self._squares)
         maker = GuideMaker(self._maker.parameters)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint8), 0)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint16), 0)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import TYPE_CHECKING
 
@@ -138,14 +137,6 @@ def test_it_cannot_be_enabled_on_a_controller_with_unsafe_parameters() -> None:
     rig.controller.enable(rig.now)
 
 
-def test_near_the_usable_force_the_arm_waits() -> None:
-    rig = Rig().enabled()
-    before = rig.step(300).total_advance
-    rig.force = 1.4
-    assert rig.step(800).total_advance == before
-    assert rig.controller.enabled
-
-
 STOPS: dict[str, Callable[[Rig], object]] = {
     'force is nan': lambda r: r.controller.on_force(math.nan, 1000 * r.ms + 1, r.now),
     'above max_force': lambda r: r.controller.on_force(1.7, 1000 * r.ms + 1, r.now),
@@ -197,15 +188,6 @@ def test_a_force_that_is_not_valid_stops_and_prevents_enabling() -> None:
     rig.controller.on_quality('', rig.now)
     rig.controller.enable(rig.now)
     assert rig.controller.enabled
-
-
-def test_a_force_that_is_not_valid_is_not_learned_from() -> None:
-    rig = Rig().learned()
-    before = rig.controller.law.contact.force
-    rig.controller.on_quality('stale', rig.now)
-    rig.force = 0.1
-    rig.steps(300)
-    assert rig.controller.law.contact.force == before
 
 
 def test_it_waits_a_moment_after_a_slip_before_it_is_enabled() -> None:
@@ -278,18 +260,6 @@ def test_the_normal_may_follow_from_the_joints() -> None:
     assert rig.planner.resets[0][1] == (-0.8, 0.0, 1.0)
 
 
-def test_any_failure_while_it_is_enabled_leaves_it_disabled() -> None:
-    rig = Rig()
-    normals = iter([np.array([0.0, 0.0, 1.0])])
-    rig.controller = SlipController(chosen(), rig.planner, lambda _q: next(normals))
-    rig.enabled()
-    rig.controller.disable()
-    with pytest.raises(StopIteration):
-        rig.controller.enable(rig.now)
-    assert rig.controller.interlock.state is InterlockState.DISABLED
-    assert not rig.step(800).enabled
-
-
 def test_it_starts_from_commanded_positions_where_they_are_reported() -> None:
     rig = Rig(max_total=5e-4).learned()
     commanded = np.array(READY) + 1e-3
@@ -346,17 +316,6 @@ def test_a_clock_that_is_set_back_stops_and_brakes() -> None:
     assert rig.planner.target < rig.controller.law.total
 
 
-def test_a_clock_that_goes_back_at_all_stops() -> None:
-    rig = Rig().enabled()
-    rig.controller.tick(rig.now - 1e-4)
-    assert rig.controller.interlock.state is InterlockState.STOPPED
-    rig.controller.reset(rig.now)
-    rig.step()
-    rig.controller.enable(rig.now)
-    rig.step()
-    assert rig.controller.enabled
-
-
 def test_a_reset_needs_a_stop_or_nothing_to_do() -> None:
     rig = Rig().enabled()
     with pytest.raises(SlipControlError):
@@ -395,12 +354,6 @@ def test_a_state_names_why_it_stopped_or_cannot_be_enabled() -> None:
     rig.controller.on_force(1.7, 1000 * rig.ms + 1, rig.now)
     assert 'max_force' in rig.step().reason
     assert SlipController(chosen()).reason(rig.now)
-
-
-def test_without_frames_the_law_of_steps_is_not_enabled() -> None:
-    rig = Rig().learned()
-    rig.controller.configure(dataclasses.replace(chosen(), law='step'))
-    assert 'frames' in str(rig.controller.fault(rig.now))
 
 
 def test_nothing_moves_before_the_arm_was_seen_where_the_plan_begins() -> None:

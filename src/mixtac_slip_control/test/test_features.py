@@ -147,33 +147,6 @@ def test_an_old_frame_is_not_used() -> None:
     assert not features.push(Events.empty(), 900_000)[-1].guided
 
 
-@pytest.mark.parametrize('size', [(480, 640), (180, 240)])
-def test_a_sensor_of_any_size_is_measured_alike(size: tuple[int, int]) -> None:
-    """The same picture, larger or smaller: the contact is in its middle, its reach follows."""
-    rows, columns = size
-    y, x = np.mgrid[0:rows, 0:columns].astype(float)
-    scale, still = rows / HEIGHT, np.zeros(size)
-    rest = light(still, still, scale)
-    away = ((x - columns / 2.0) ** 2 + (y - rows / 2.0) ** 2) / (90.0 * scale) ** 2
-    moved = light(0.4 * scale * np.exp(-away), still, scale)
-    change = (np.log(moved) - np.log(rest)) / CONTRAST
-    number = np.floor(change + RNG.random(size)).astype(int)
-    at_y, at_x = np.nonzero(number)
-    times = np.abs(number[at_y, at_x])
-    events = Events(
-        np.zeros(int(times.sum()), np.int64),
-        np.repeat(at_x, times).astype(np.uint16),
-        np.repeat(at_y, times).astype(np.uint16),
-        np.repeat(number[at_y, at_x] > 0, times),
-    )
-    features = SlipFeatures(SlipControlParameters())
-    features.resize(columns, rows)
-    features.frame(np.round(rest).astype(np.uint16), 0)
-    (window,) = features.push(events, 1000)
-    assert window.flow_x == pytest.approx(0.4 * scale / CONTRAST, rel=0.2)
-    assert abs(window.flow_y) < 0.15 * window.flow_x
-
-
 def test_a_frame_of_another_size_than_the_events_is_refused() -> None:
     features = SlipFeatures(SlipControlParameters())
     features.resize(640, 480)

@@ -36,7 +36,7 @@ START_S = 1000.0
 class Cell:
     """An arm with its controller, a contact, and slip control, in steps of a millisecond."""
 
-    def __init__(self, seed: int, *, reports: bool, release: Any) -> None:
+    def __init__(self, seed: int, *, reports: bool) -> None:
         self.rng = rng = np.random.default_rng(seed)
         self.parameters = SlipControlParameters(
             arm='fr3', law='paper', max_force=30.0, gain=float(10.0 ** rng.uniform(-9.0, -7.0))
@@ -45,7 +45,7 @@ class Cell:
         self.planner = AdvancePlanner(ARM, LIMITS, self.parameters.lead)
         self.slip = SlipController(self.parameters, self.planner, rng.normal(size=3).tolist())
         self.reports = reports
-        self.arm = JointTrajectoryController(release=release)
+        self.arm = JointTrajectoryController()
         self.phase_s = float(rng.random()) * 1e-3
         self.arm.reset(READY, START_S + self.phase_s)
         self.tip, self.sag = READY.copy(), rng.normal(0.0, 1e-3, 7).clip(-2e-3, 2e-3)
@@ -144,12 +144,9 @@ class Cell:
     seed=st.integers(0, 2**31),
     fault=st.sampled_from(FAULTS),
     reports=st.booleans(),
-    release=st.sampled_from(['jazzy', 'humble']),
 )
-def test_limits_are_kept_and_faults_stop(
-    seed: int, fault: str, reports: bool, release: Any
-) -> None:
-    cell = Cell(seed, reports=reports, release=release)
+def test_limits_are_kept_and_faults_stop(seed: int, fault: str, reports: bool) -> None:
+    cell = Cell(seed, reports=reports)
     cell.play(1010)
     for _ in range(2):
         cell.enable()

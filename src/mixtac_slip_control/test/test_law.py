@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.law import AdvanceLaw, Contact, Phase, paper_advance
+from mixtac_slip_control.law import AdvanceLaw, Phase, paper_advance
 from mixtac_slip_control.parameters import SlipControlParameters
 
 
@@ -87,11 +87,6 @@ def test_the_press_reaches_the_margin_whatever_the_gain_of_the_sensor(
     assert grasp.law.contact.stiffness == pytest.approx(gain * stiffness, rel=0.3)
 
 
-def test_without_a_margin_nothing_is_pressed() -> None:
-    grasp = Grasp(grip_margin=1.0).rest(500)
-    assert grasp.force < 1.05 * grasp.first
-
-
 def test_a_slip_is_answered_by_one_step_that_is_held_and_taken_back() -> None:
     grasp = Grasp().rest(1000)
     pressed = grasp.law.total
@@ -151,20 +146,6 @@ def test_a_force_without_room_is_refused_and_both_forces_are_named(start: float)
         assert named in str(caught.value)
 
 
-def test_the_usable_share_is_a_parameter() -> None:
-    grasp = Grasp(start=0.8, force_share=0.6, noise=0.0).rest(1000)
-    for _ in range(300):
-        grasp.step(slipping=True)
-    assert grasp.peak <= 0.9 + 1e-6
-
-
-def test_the_largest_advance_holds() -> None:
-    grasp = Grasp(1e3, max_total=1e-4).rest(500)
-    for _ in range(300):
-        grasp.step(slipping=True)
-    assert grasp.law.total == pytest.approx(1e-4)
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     law=st.sampled_from(['step', 'paper']),
@@ -185,11 +166,3 @@ def test_no_course_of_slips_exceeds_the_force(
         grasp.step(slipping=left > 0, count=int(rng.integers(30, 5000)) if left else 30)
         assert 0.0 <= grasp.law.total <= grasp.parameters.max_total
     assert grasp.peak < grasp.parameters.max_force * 1.02 / 0.92
-
-
-def test_the_contact_follows_a_force_that_drifts_while_nothing_is_learned() -> None:
-    contact = Contact()
-    for force in np.linspace(0.5, 0.4, 2000):
-        contact.on_force(float(force), 0.0, 0.0, learn=False)
-    assert contact.at(0.0) == pytest.approx(0.4, abs=0.02)
-    assert contact.bound == 2e4

@@ -4,17 +4,12 @@
 
 from __future__ import annotations
 
-import ast
 import math
-from pathlib import Path
 
 import pytest
 
-from mixtac_core.node.parameters import ParameterError, build, specs
-from mixtac_slip_control.parameters import LAWS, SlipControlParameters
-
-ROOT = Path(__file__).resolve().parents[3]
-TREE = ast.parse((ROOT / 'launch' / 'slip_control.launch.py').read_text())
+from mixtac_core.node.parameters import ParameterError, build
+from mixtac_slip_control.parameters import SlipControlParameters
 
 
 @pytest.mark.parametrize(
@@ -54,28 +49,3 @@ def test_text_gives_numbers() -> None:
     assert p.contact_place == (120.0, 90.5)
     assert SlipControlParameters().contact_place is None
     assert p.workspace_limits == (-0.8, 0.8, -0.8, 0.8, 0.0, 1.2)
-
-
-def test_the_launch_file_leaves_the_parameters_as_they_are() -> None:
-    found = [node for node in ast.walk(TREE) if isinstance(node, ast.Call)]
-    arguments = {
-        call.args[0].value: {k.arg: ast.literal_eval(k.value) for k in call.keywords}
-        for call in found
-        if isinstance(call.func, ast.Name)
-        and call.func.id == 'DeclareLaunchArgument'
-        and isinstance(call.args[0], ast.Constant)
-    }
-    assert {'arm', 'arm_backend', 'law', 'device'} == set(arguments)
-    # Empty: the value of the parameter file, or else the default of the parameter.
-    assert {each['default_value'] for each in arguments.values()} == {''}
-    assert arguments['law']['choices'] == ['', *LAWS]
-
-
-def test_the_other_arguments_of_the_launch_file_are_parameters() -> None:
-    (names,) = (
-        ast.literal_eval(node.value)
-        for node in ast.walk(TREE)
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'PARAMETERS'
-    )
-    assert {'lead', 'joint_state_topic', 'normal_frame', 'max_force'} <= set(names)
-    assert set(names) <= {spec.name for spec in specs(SlipControlParameters)}

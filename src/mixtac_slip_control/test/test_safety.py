@@ -142,26 +142,11 @@ def test_what_was_wrong_is_over_with_the_next_good_value() -> None:
     assert watch.fault(NOW) is None
 
 
-def test_single_full_or_lost_windows_do_not_stop() -> None:
-    watch = heard()
-    watch.on_window(ending(NOW, count=9000, complete=False, guided=False), NOW)
-    watch.on_window(ending(NOW), NOW)
-    watch.on_window(ending(NOW, count=9000), NOW)
-    assert watch.fault(NOW) is None
-
-
 def test_by_counts_no_frames_are_needed() -> None:
     watch = SafetyWatch(lambda: SlipControlParameters(law='paper'))
     refresh(watch, NOW, without='frames')
     repeat(watch, 9, guided=False)
     assert watch.fault(NOW) is None
-
-
-def test_a_frame_that_is_repeated_grows_old() -> None:
-    watch = heard()
-    watch.on_frame(1000, 0.1, NOW + 0.3)
-    refresh(watch, NOW + 0.3, without='frames')
-    assert 'frames' in str(watch.fault(NOW + 0.3))
 
 
 def test_joint_states_are_as_old_as_their_stamps() -> None:

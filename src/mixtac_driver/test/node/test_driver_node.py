@@ -23,8 +23,6 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_LATCHED, QOS_SENSOR, qos
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.pyusb_backend import inject
 
 pytestmark = pytest.mark.dds
 RELIABLE = qos(topics.EVENTS, offered=True)
@@ -199,13 +197,13 @@ def test_an_absent_camera_is_an_error_until_it_is_there_and_packets_go_on(camera
     camera.plug_in()
     graph.spin_until(lambda: len(packets) > 50 and is_in_error(graph) is False)
     exposure = {camera.scene.device.exposure_us}
-    inject(camera.path, Fault(FaultKind.UNPLUG))
+    camera.scene.device.unplug()
     graph.spin_until(lambda: is_in_error(graph))
     values = graph.diagnostics(NAME)
     assert values['state'] in {'waiting to reconnect', 'connecting'}
     assert values['message']
     before = len(packets)
-    inject(camera.path, Fault(FaultKind.PLUG_IN))
+    camera.scene.device.plug_in()
     graph.spin_until(lambda: len(packets) > before + 50 and is_in_error(graph) is False)
     assert {camera.scene.device.exposure_us} == exposure
     sequence = [packet.seq for packet in packets]

@@ -37,7 +37,7 @@ from mixtac_learning.judge.report import PAPER, new_axes, save_figure
 from mixtac_learning.train.config import OURS
 from mixtac_sim.arm import READY
 from mixtac_sim.grasp.grasp import Grasp
-from mixtac_sim.grasp.objects import ObjectName, draw_setup
+from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
@@ -146,7 +146,7 @@ class TrialPlan:
         settings: Settings of the slip controller.
     """
 
-    name: ObjectName = 'box'
+    name: str = 'box'
     seed: int = 0
     margin: float = 1.05
     knock_mm_s: float | None = None

@@ -40,9 +40,10 @@ HOUR_NS: Final = 3_600_000_000_000
 HOURS: Final = 100_000
 LARGEST_SKEW_PPM: Final = 50.0
 """Usual tolerance of a crystal oscillator."""
-USB_DELAY_US: Final = (150.0, 100.0)
-"""Least time from the end of a USB transfer to the host's stamp, and mean of what comes on top
-(estimates)."""
+LEAST_DELAY_US: Final = 150.0
+"""Least time from the end of a USB transfer to the host's stamp [us] (estimate)."""
+MORE_DELAY_US: Final = 100.0
+"""Mean of the further delay, which is exponential [us] (estimate)."""
 
 
 class TrialClocks:
@@ -81,10 +82,9 @@ class TrialClocks:
     def arrivals_ns(self, end_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return when the host has transfers that end at true times [us]; draws new delays.
 
-        The delays are at least `USB_DELAY_US[0]`; arrivals are in order.
+        The delays are at least `LEAST_DELAY_US`; arrivals are in order.
         """
-        least, mean = USB_DELAY_US
-        delays_us = least + self._delays.exponential(mean, len(end_us))
+        delays_us = LEAST_DELAY_US + self._delays.exponential(MORE_DELAY_US, len(end_us))
         arrivals = self.to_host_ns(end_us) + np.round(1000 * delays_us).astype(np.int64)
         return np.asarray(np.maximum.accumulate(arrivals), np.int64)
 

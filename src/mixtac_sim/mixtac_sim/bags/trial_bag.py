@@ -8,7 +8,6 @@ was interrupted resumes where it ended.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -21,7 +20,6 @@ import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from mixtac_core.node import topics
-from mixtac_core.node.files import locked
 from mixtac_core.node.topics import Topic
 from mixtac_core.recordings.bag import blank_message
 from mixtac_core.recordings.bag_writer import McapBag
@@ -211,54 +209,40 @@ def generate(
         Number of bags written by this run.
 
     Raises:
-        RecordingError: The folder holds something else, is in use, or cannot be written.
+        RecordingError: The folder holds something else, or cannot be written.
         SimulationError: A trial cannot be simulated.
     """
-    with _exclusive(folder):
-        _claim(folder, description)
-        waiting = [each for each in description.trials if not is_finished(folder, each.name)]
-        total = len(description.trials)
-        on_progress(total - len(waiting), total)
-        if waiting:
-            calls = [
-                joblib.delayed(write_trial)(spec, folder, compress=compress) for spec in waiting
-            ]
-            try:
-                written = joblib.Parallel(
-                    n_jobs=jobs, return_as='generator_unordered', batch_size=1
-                )(calls)
-                for done, _ in enumerate(written, total - len(waiting) + 1):
-                    on_progress(done, total)
-            except TerminatedWorkerError as error:
-                raise RecordingError(
-                    'a worker process was killed, probably out of memory; finished bags are kept',
-                    remedy='use fewer jobs',
-                ) from error
-        shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
-        replace(description, complete=True).write(folder)
+    _claim(folder, description)
+    waiting = [each for each in description.trials if not is_finished(folder, each.name)]
+    total = len(description.trials)
+    on_progress(total - len(waiting), total)
+    if waiting:
+        calls = [joblib.delayed(write_trial)(spec, folder, compress=compress) for spec in waiting]
+        try:
+            written = joblib.Parallel(n_jobs=jobs, return_as='generator_unordered', batch_size=1)(
+                calls
+            )
+            for done, _ in enumerate(written, total - len(waiting) + 1):
+                on_progress(done, total)
+        except TerminatedWorkerError as error:
+            raise RecordingError(
+                'a worker process was killed, probably out of memory; finished bags are kept',
+                remedy='use fewer jobs',
+            ) from error
+    shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
+    replace(description, complete=True).write(folder)
+
     return len(waiting)
 
 
-@contextlib.contextmanager
-def _exclusive(folder: Path) -> Iterator[None]:
-    """Keep other runs out of a folder, which is made if need be."""
-    with contextlib.ExitStack() as stack:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(locked(folder, wait=False))
-        except BlockingIOError as error:
-            raise RecordingError(
-                f'another run is writing to {folder}', remedy='wait until it ends'
-            ) from error
-        except OSError as error:
-            raise RecordingError(
-                f'cannot use folder {folder}: {error}', remedy='choose another folder'
-            ) from error
-        yield
-
-
 def _claim(folder: Path, description: DatasetDescription) -> None:
-    """Check that a folder is free or holds this very data set, and describe it."""
+    """Make a folder, check that it is empty or holds this very data set, and describe it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f'cannot use folder {folder}: {error}', remedy='choose another folder'
+        ) from error
     if (folder / FILE_NAME).exists():
         if not DatasetDescription.read(folder).same_trials_as(description):
             raise RecordingError(

@@ -10,7 +10,7 @@ force that does so, times a margin.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup, ObjectMotion
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US, stream
-from mixtac_sim.mechanics.contact import GRAVITY, ContactPath
+from mixtac_sim.mechanics.contact import ContactPath
 from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
@@ -185,7 +185,6 @@ class GraspBlock:
         speed_mm_s: Speed of the object [n] [mm/s].
         normal_n: Normal force [n] [N].
         pull_n: Pull of the skin on it [n] [N].
-        slipped_mm: Mean slip over the skin at the end [mm].
         events: Events that left the chip; empty without a camera.
         frames: Frames whose exposure ended.
     """
@@ -195,7 +194,6 @@ class GraspBlock:
     speed_mm_s: Floats
     normal_n: Floats
     pull_n: Floats
-    slipped_mm: float
     events: Events
     frames: list[ApsFrame]
 
@@ -212,8 +210,6 @@ class Grasp:
         preset: Difficulty of the sensor.
         camera: Simulate the camera; without it a trial takes milliseconds.
         rest_s: Time for which the smallest force holds the object, fingertip at rest [s].
-        contact_mm: Where the contact is, right and down from the optical axis [mm]; None for the
-            place of the day.
 
     Attributes:
         device: The sensor.
@@ -232,12 +228,9 @@ class Grasp:
         *,
         camera: bool = True,
         rest_s: float = 0.0,
-        contact_mm: tuple[float, float] | None = None,
     ) -> None:
         self.setup = setup
         conditions, device = draw_conditions(seed, preset), draw_device(device_seed, preset)
-        if contact_mm is not None:
-            conditions = replace(conditions, contact_mm=contact_mm)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         face = OBJECTS[setup.name].face
         surface = int(stream(seed, 'grasp surface').integers(1 << 62))
@@ -270,15 +263,6 @@ class Grasp:
         self._motion = self._motion._replace(
             knock_s=float(self._body[0]), knock_mm_s=float(speed_mm_s)
         )
-
-    def weigh(self, mass_g: float) -> None:
-        """Let the object have another mass from the next step on, as when something is put in.
-
-        Args:
-            mass_g: Its mass [g].
-        """
-        mass_kg = 1e-3 * mass_g
-        self._motion = self._motion._replace(mass_kg=mass_kg, weight_n=mass_kg * GRAVITY)
 
     def put_back(self) -> None:
         """Put the object back to where it was held; the fingertip stays where it is."""
@@ -350,7 +334,6 @@ class Grasp:
             path[:, 1],
             normal,
             path[:, 2],
-            float(np.mean(self._skin.slid_mm)),
             events,
             frames,
         )

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,7 +59,6 @@ class Friction:
         return self.mu + aged + self.rate * float(np.log(CREEP_MM_S / REFERENCE_MM_S))
 
 
-ObjectName = Literal['box', 'cup', 'ball']
 WEIGHT_KG = 0.1
 """Mass of the falling weight (paper) [kg]."""
 DROP_M = 0.05
@@ -89,7 +88,7 @@ class HeldObject:
     pulse_s: float
 
 
-OBJECTS: Mapping[ObjectName, HeldObject] = MappingProxyType(
+OBJECTS: Mapping[str, HeldObject] = MappingProxyType(
     {
         'box': HeldObject(Indenter('flat', 6.0), (60, 90), (20, 60), (0.7, 0.9), (0.4, 0.6), 1e-3),
         'cup': HeldObject(
@@ -146,7 +145,7 @@ class GraspSetup:
         stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None if not given.
     """
 
-    name: ObjectName
+    name: str
     mass_g: float
     n_per_mm: float
     friction: Friction
@@ -184,14 +183,9 @@ class GraspSetup:
             knock_mm_s=self.knock_mm_s,
         )
 
-    @property
-    def transmitted(self) -> float:
-        """Return the share of the falling weight's momentum that the object got."""
-        return 1e-6 * self.mass_g * self.knock_mm_s / WEIGHT_IMPULSE_N_S
-
 
 def draw_setup(
-    name: ObjectName,
+    name: str,
     rng: np.random.Generator,
     *,
     margin: float = 1.05,

@@ -23,7 +23,7 @@ from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, ContactPath, Mode
 from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, force_law, sheared_area
-from mixtac_sim.optics.scene import Flicker, Markers
+from mixtac_sim.optics.scene import Markers
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import Conditions, DeviceModel
@@ -409,7 +409,6 @@ class SkinCamera:
         press: The fingertip on the object.
         skin: The skin at the start.
         direction: Direction of the pull on the skin in the image, right and down, of length 1.
-        flicker: Flicker of the lamp; drawn from the preset by default.
         elastic_n: Elastic part of the normal force at the start [N]; by default that of the press.
     """
 
@@ -422,7 +421,6 @@ class SkinCamera:
         press: Press,
         skin: Skin,
         direction: tuple[float, float],
-        flicker: Flicker | None = None,
         elastic_n: float | None = None,
     ) -> None:
         device, contact_mm = device.on_day(conditions), conditions.contact_mm
@@ -432,17 +430,9 @@ class SkinCamera:
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()
         spots = self._place(self._elastic_n)
-        self._camera = Camera(
-            device, conditions, preset, seed, spots, self._elastic_n, flicker=flicker
-        )
+        self._camera = Camera(device, conditions, preset, seed, spots, self._elastic_n)
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels
-        self.light_by = self._camera.light_by
-
-    @property
-    def now_us(self) -> int:
-        """Time up to which it has been advanced [us of true time]."""
-        return self._camera.now_us
 
     def _place(self, elastic_n: float) -> Floats:
         return self._beads.place(0, elastic_n, self._direction, self._moved.amounts())

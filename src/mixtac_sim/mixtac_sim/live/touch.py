@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Gestures of the live sensor: press, pull, slide, torsion, load, drop, vibrate, release, follow.
+"""Gestures of the live sensor: press, pull, slide, torsion, load, drop, vibrate, release.
 
 Each gesture is a short profile that is played at once. `TouchControl` carries out the requests of
 the service `mixtac_msgs/srv/Touch`.
@@ -18,15 +18,11 @@ from mixtac_core.node.parameters import build, parameter
 from mixtac_sim import SimulationError
 from mixtac_sim.live.virtual_sensor import VirtualSensor
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
-from mixtac_sim.mechanics.elastomer import HEMISPHERE, LIVE_INDENTERS, Indenter
+from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS, Indenter
 from mixtac_sim.world.segments import Profile, Pulled, Segment, Tone
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""
-FOLLOW_RAMP_S: Final = 0.01
-"""Time in which a commanded force is reached [s]."""
-FOLLOW_TIMEOUT_S: Final = 0.25
-"""Time for which a commanded force is held without a new command [s]."""
 APART_MM: Final = 0.3
 """Distance from the skin at which a vibration starts and ends [mm]."""
 MOVE_S: Final = 1.0
@@ -161,17 +157,6 @@ def vibrate(
     return Profile('vibrate', up + RAMP_S, segments)
 
 
-def follow(tool: Indenter, from_n: float, force_n: float) -> Profile:
-    """Return a force [N] that is reached quickly from another and fades without a new command."""
-    first, last = FOLLOW_RAMP_S, FOLLOW_RAMP_S + FOLLOW_TIMEOUT_S
-    segments = (
-        _force(tool, 0.0, first, (from_n, force_n)),
-        _force(tool, first, last, (force_n,)),
-        _force(tool, last, last + RAMP_S, (force_n, 0.0)),
-    )
-    return Profile('follow', last + RAMP_S, segments)
-
-
 def release(tool: Indenter, from_n: float) -> Profile:
     """Return the release from a force [N]."""
     way = _force(tool, 0.0, RAMP_S, (from_n, 0.0))
@@ -238,7 +223,7 @@ _PROFILES: Final[Mapping[str, Callable[[Touch], Profile]]] = MappingProxyType(
 
 
 class TouchControl:
-    """Carries out touches, and forces that are commanded one after the other.
+    """Carries out touches.
 
     Args:
         sensor: The live sensor.
@@ -246,7 +231,6 @@ class TouchControl:
 
     def __init__(self, sensor: VirtualSensor) -> None:
         self._sensor = sensor
-        self._tool = HEMISPHERE
 
     def touch(self, **request: object) -> str:
         """Touch the sensor; return a description for the user.
@@ -264,7 +248,6 @@ class TouchControl:
             return 'released'
         make = self._pull if touch.gesture == 'pull' else _PROFILES[touch.gesture]
         self._sensor.play(make(touch))
-        self._tool = touch.tool
         length = f'for {touch.hold:g} s' if touch.hold else 'until the next touch'
         return f'{touch.gesture}: {touch.object} {length}'
 
@@ -278,14 +261,3 @@ class TouchControl:
         after = (touch.pull * math.cos(angle), -touch.pull * math.sin(angle))
         forces = (force_n if same else 0.0, touch.force)
         return pull(touch.tool, forces, (before, after), touch.hold_s)
-
-    def follow(self, force_n: float) -> None:
-        """Press the last object with a force [N] until the next command, or until it times out.
-
-        Raises:
-            SimulationError: The force is not a number, or out of range.
-        """
-        if not 0.0 <= force_n <= LARGEST_N:
-            raise SimulationError(f'commanded force {force_n} N', remedy=f'give 0 to {LARGEST_N} N')
-        before_n, tool = self._sensor.commanded_force()
-        self._sensor.play(follow(self._tool, before_n if tool == self._tool else 0.0, force_n))

@@ -19,17 +19,6 @@ from scipy.interpolate import PchipInterpolator
 from mixtac_core.events.arrays import Floats
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
 
-IndenterName = Literal[
-    'hemisphere',
-    'small sphere',
-    'large sphere',
-    'shallow sphere',
-    'flat',
-    'narrow flat',
-    'wide flat',
-    'edge',
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
@@ -53,7 +42,7 @@ HEMISPHERE = Indenter('sphere', 9.0)
 """The paper's 18 mm hemisphere (section 4.3)."""
 WEIGHT_20_G = Indenter('flat', 6.0, mass_g=20.0)
 """The paper's 20 g cylinder (section 4.5); its face is not stated, 12 mm is an estimate."""
-INDENTERS: Mapping[IndenterName, Indenter] = MappingProxyType(
+INDENTERS: Mapping[str, Indenter] = MappingProxyType(
     {
         'hemisphere': HEMISPHERE,
         'small sphere': Indenter('sphere', 4.0),

@@ -46,10 +46,12 @@ from mixtac_sim import SimulationError
 
 ALPHA = np.concatenate([np.linspace(0.02, 0.3, 15), np.linspace(0.35, 2.5, 44)])
 """Grid of contact radius / layer thickness."""
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
-X = 0.5 * (_NODES + 1.0)
-"""Gauss-Legendre nodes on the contact, x = r / a."""
-X_WEIGHTS = 0.5 * _WEIGHTS
+GAUSS = np.polynomial.legendre.leggauss(128)
+"""Gauss-Legendre nodes and weights on -1 ... 1 [2, 128]."""
+X = 0.5 * (GAUSS[0] + 1.0)
+"""Nodes on the contact, x = r / a."""
+X_WEIGHTS = 0.5 * GAUSS[1]
+"""Weights of `X`."""
 
 
 def surface_mobility(t: Floats) -> Floats:
@@ -66,7 +68,7 @@ def surface_mobility(t: Floats) -> Floats:
 
 def _resolvent(alpha: float, right: Floats) -> Floats:
     """Solve omega - K omega = right on the nodes and at x = 1 (last row)."""
-    t, weights = 10.0 * (_NODES + 1.0), 10.0 * _WEIGHTS
+    t, weights = 10.0 * (GAUSS[0] + 1.0), 10.0 * GAUSS[1]
     lost = weights * (1.0 - surface_mobility(t))
     rows = np.cos(alpha * np.outer(np.append(X, 1.0), t))
     kernel = (2.0 * alpha / np.pi) * (rows * lost) @ rows[:-1].T * X_WEIGHTS
@@ -122,52 +124,45 @@ _WAVES = 80.0
 
 
 @dataclass(frozen=True, slots=True)
-class DisplacementField:
-    """Displacement of one shape of indenter, in units of F / (E h).
+class LayerField:
+    """Tabulated motion of the layer under a contact.
 
     Attributes:
-        inward: Displacement towards the base [contact radius, height, distance].
-        outward: Displacement away from the axis, same shape.
+        table: Values [contact radius, height, distance, value].
     """
 
-    inward: Floats
-    outward: Floats
+    table: Floats
 
-    def at(self, alpha: Floats, height: Floats, radius: Floats) -> tuple[Floats, Floats]:
-        """Return inward and outward displacement at points of the undeformed layer.
+    def at(self, alpha: Floats, height: Floats, radius: Floats) -> Floats:
+        """Return the values at points of the undeformed layer, broadcast, [..., value].
 
         Args:
             alpha: Contact radius over thickness, clipped to 0.02 ... 2.5.
             height: Height above the base over thickness, clipped to 0 ... 1.
             radius: Distance from the axis over thickness; beyond 6 nothing moves.
-
-        Returns:
-            Displacements in units of F / (E h), broadcast over the arguments.
         """
         points = np.broadcast_arrays(
             np.clip(alpha, ALPHA[0], ALPHA[-1]), np.clip(height, 0.0, 1.0), radius
         )
         grid = (ALPHA, FIELD_HEIGHTS, FIELD_RADII)
-        found = [
-            RegularGridInterpolator(grid, table, bounds_error=False, fill_value=0.0)(
-                np.stack(points, axis=-1)
-            )
-            for table in (self.inward, self.outward)
-        ]
-        return found[0], found[1]
+        found = RegularGridInterpolator(grid, self.table, bounds_error=False, fill_value=0.0)
+        return np.asarray(found(np.stack(points, axis=-1)))
 
 
 @lru_cache(maxsize=2)
-def displacement_field(shape: Literal['sphere', 'flat']) -> DisplacementField:
-    """Return the tabulated field of a shape (computed once per process, below a second)."""
+def displacement_field(shape: Literal['sphere', 'flat']) -> LayerField:
+    """Return displacements inwards and away from the axis, in units of F / (E h).
+
+    Computed once per process and shape, in less than a second.
+    """
     # Sums of many threads differ in the last bit from those of one, and then trials do too.
     with threadpool_limits(limits=1, user_api='blas'):
         t, weights = _wave_numbers()
         load = _load_spectrum(shape, t) * weights * 3.0 / (4.0 * np.pi)
         inner, slope = depth_profiles(t, FIELD_HEIGHTS)
         distances = np.outer(t, FIELD_RADII)
-        inward = _transform(load, inner, j0(distances))
-        return DisplacementField(inward, _transform(load, slope, j1(distances)))
+        tables = _transform(load, inner, j0(distances)), _transform(load, slope, j1(distances))
+        return LayerField(np.stack(tables, axis=-1))
 
 
 def _transform(load: Floats, profile: Floats, wave: Floats) -> Floats:
@@ -210,31 +205,14 @@ def depth_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats]:
     return scale * inner, scale * slope
 
 
-@dataclass(frozen=True, slots=True)
-class ShearField:
-    """Displacement of the layer by a pull at the skin, and by a turn.
-
-    Attributes:
-        table: Mean displacement along the pull; half the difference between displacements along the
-            line of the pull and beside it; rise ahead of it, all in units of F / (2 pi G h); and
-            the turn over that of the disc [contact radius, height, distance, 4].
-    """
-
-    table: Floats
-
-    def at(self, alpha: Floats, height: Floats, radius: Floats) -> Floats:
-        """Return the values at points of the layer [..., 4]; as `DisplacementField.at`."""
-        points = np.broadcast_arrays(
-            np.clip(alpha, ALPHA[0], ALPHA[-1]), np.clip(height, 0.0, 1.0), radius
-        )
-        grid = (ALPHA, FIELD_HEIGHTS, FIELD_RADII)
-        found = RegularGridInterpolator(grid, self.table, bounds_error=False, fill_value=0.0)
-        return np.asarray(found(np.stack(points, axis=-1)))
-
-
 @lru_cache(maxsize=1)
-def shear_field() -> ShearField:
-    """Return the tabulated field (computed once per process, in a second)."""
+def shear_field() -> LayerField:
+    """Return the motion of the layer by a pull at the skin, and by a turn.
+
+    The values are the mean displacement along the pull; half the difference between displacements
+    along the line of the pull and beside it; the rise ahead of it, all in units of F / (2 pi G h);
+    and the turn over that of the disc. Computed once per process, in a second.
+    """
     with threadpool_limits(limits=1, user_api='blas'):
         t, weights = _wave_numbers()
         along, rise, across = shear_profiles(t, FIELD_HEIGHTS)
@@ -251,7 +229,7 @@ def shear_field() -> ShearField:
             _transform(pull, rise, one),
             _transform(spin, across * t[:, None], turned),
         )
-        return ShearField(np.stack(tables, axis=-1))
+        return LayerField(np.stack(tables, axis=-1))
 
 
 def shear_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats, Floats]:

@@ -81,7 +81,7 @@ class Sliding:
         """Move the indenter.
 
         Args:
-            moves: Motion over each step and pull, as of `CommandSource.motion` [n, 7].
+            moves: Motion over each step and pull, as of `Profile.motion` [n, 7].
             path: The contact along the normal [n].
             radius_mm: Contact radius [n] [mm].
         """

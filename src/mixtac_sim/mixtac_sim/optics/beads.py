@@ -82,9 +82,8 @@ class BeadMotion:
             table = self._edge_table(layer, tool, law.linear_at(force))
             table[:, :, 2] += sag
             return np.concatenate([table, follow], axis=-1)
-        inward, outward = displacement_field(tool.shape).at(
-            alpha, height, self._axis_mm / layer.thickness_mm
-        )
+        field = displacement_field(tool.shape).at(alpha, height, self._axis_mm / layer.thickness_mm)
+        inward, outward = np.moveaxis(field, -1, 0)
         linear = law.linear_at(force)[:, None]
         scale = linear / (1e-3 * layer.modulus_kpa * layer.thickness_mm)
         radial = scale * outward

@@ -38,13 +38,11 @@ class ApsSettings:
         exposure_us: Exposure [us].
         interval_us: From one exposure to the next [us]; 25 Hz in the paper.
         first_us: First exposure [us] of true time.
-        enabled: Whether frames are taken at all.
     """
 
     exposure_us: int = 7_000
     interval_us: int = 40_000
     first_us: int = 5_000
-    enabled: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,19 +103,17 @@ class Aps:
 
     def _adopt(self, now_us: float) -> None:
         """Apply new settings unless an exposure is under way."""
-        before, settings = self._settings, self._wanted
-        exposing = before.enabled and self._next_us < now_us
-        if settings is before or exposing:
+        settings = self._wanted
+        if settings is self._settings or self._next_us < now_us:
             return
-        planned = self._next_us if before.enabled else int(now_us) + RESET_US
-        self._next_us = max(planned, settings.first_us, self._busy_until_us + RESET_US)
+        self._next_us = max(self._next_us, settings.first_us, self._busy_until_us + RESET_US)
         self._settings = settings
 
     def _window(self, start_us: float, end_us: float) -> tuple[float, float]:
         """Return how long [us] the light at start and at end of a step counts for the exposure."""
         opens, closes = self.exposure_us
         opened, closed = max(start_us, float(opens)), min(end_us, float(closes))
-        if closed <= opened or not self._settings.enabled:
+        if closed <= opened:
             return 0.0, 0.0
         late = (0.5 * (opened + closed) - start_us) / (end_us - start_us)
         return (1.0 - late) * (closed - opened), late * (closed - opened)
@@ -137,8 +133,6 @@ class Aps:
 
     def disturbances_us(self, start_us: int, end_us: int) -> list[int]:
         """Return the resets and readouts between two times [us] that may make pixels fire."""
-        if not self._settings.enabled:
-            return []
         return [t for t in self.exposure_us if start_us <= t < end_us]
 
     @property
@@ -154,7 +148,7 @@ class Aps:
             brightness: Light over that of the scene: lamps age and warm.
         """
         start, end = self.exposure_us
-        if not self._settings.enabled or end > until_us:
+        if end > until_us:
             return None
         reset, signal = self._convert(brightness)
         self._light[:] = 0.0

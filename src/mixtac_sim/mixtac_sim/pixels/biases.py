@@ -57,63 +57,41 @@ def current_a(register: int) -> float:
     return max(FULL_SCALE_A[coarse] * fine / 256.0, LEAKAGE_A)
 
 
-@dataclass(frozen=True, slots=True)
-class PixelBiases:
-    """Currents of the pixel's biases [A].
+class PixelConstants(NamedTuple):
+    """Constants of a pixel by jAER's formulas.
 
     Attributes:
-        diff: Current of the differencing amplifier's comparator reference.
-        on: Current of the ON comparator.
-        off: Current of the OFF comparator.
-        photoreceptor: Current of the photoreceptor.
-        follower: Current of the source follower.
-        refractory: Current of the reset.
+        threshold_on: ON threshold [log-e].
+        threshold_off: OFF threshold [log-e].
+        source_follower_hz: Corner of the source follower [Hz]. Above half the photoreceptor's
+            current the formula does not hold; the corner stays there.
+        refractory_us: Refractory time [us], a lower bound.
     """
 
-    diff: float
-    on: float
-    off: float
-    photoreceptor: float
-    follower: float
-    refractory: float
+    threshold_on: float
+    threshold_off: float
+    source_follower_hz: float
+    refractory_us: float
 
     @classmethod
-    def from_registers(cls, registers: Mapping[int, int]) -> PixelBiases:
-        """Return the currents of register values by address.
+    def from_registers(cls, registers: Mapping[int, int]) -> PixelConstants:
+        """Return the constants for register values by address.
 
         What is missing or 0, as no host has written it yet, is at its default.
         """
         written = {place: value for place, value in registers.items() if value}
-        known = {**DEFAULT_REGISTERS, **written}
-        places = (DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY)
-        return cls(*(current_a(known[place]) for place in places))
+        amperes = {p: current_a(value) for p, value in {**DEFAULT_REGISTERS, **written}.items()}
+        follower = min(amperes[FOLLOWER], 0.5 * amperes[PHOTORECEPTOR])
+        return cls(
+            _threshold(float(np.log(amperes[ON] / amperes[DIFF]))),
+            _threshold(float(np.log(amperes[DIFF] / amperes[OFF]))),
+            float(follower / (2.0 * np.pi * THERMAL_V * FOLLOWER_F)),
+            1e6 * REFRACTORY_C / amperes[REFRACTORY],
+        )
 
-    def _threshold(self, log_ratio: float) -> float:
-        return max(log_ratio / (SLOPE_FACTOR * CAPACITOR_RATIO), LEAST_THRESHOLD)
 
-    @property
-    def threshold_on(self) -> float:
-        """Return the ON threshold [log-e]."""
-        return self._threshold(float(np.log(self.on / self.diff)))
-
-    @property
-    def threshold_off(self) -> float:
-        """Return the OFF threshold [log-e]."""
-        return self._threshold(float(np.log(self.diff / self.off)))
-
-    @property
-    def source_follower_hz(self) -> float:
-        """Return the corner of the source follower [Hz].
-
-        Above half the photoreceptor's current the formula does not hold; the corner stays there.
-        """
-        follower = min(self.follower, 0.5 * self.photoreceptor)
-        return float(follower / (2.0 * np.pi * THERMAL_V * FOLLOWER_F))
-
-    @property
-    def refractory_us(self) -> float:
-        """Return the refractory time [us], a lower bound."""
-        return 1e6 * REFRACTORY_C / self.refractory
+def _threshold(log_ratio: float) -> float:
+    return max(log_ratio / (SLOPE_FACTOR * CAPACITOR_RATIO), LEAST_THRESHOLD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +132,7 @@ class PixelSettings:
         Shot noise grows with the bandwidth and with the inverse of the threshold (estimate); a leak
         reaches a lower threshold sooner.
         """
-        now, usual = PixelBiases.from_registers(registers), PixelBiases.from_registers({})
+        now, usual = (PixelConstants.from_registers(each) for each in (registers, {}))
         on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
         speed = now.source_follower_hz / usual.source_follower_hz
         return replace(

@@ -26,10 +26,30 @@ from mixtac_sim.optics.renderer import MeshMotion
 from mixtac_sim.optics.scene import Flicker, Scene
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 
-FLOOR, GAIN, LIGHT, LOG, FOLLOW, DIFFERENCE, ON, OFF, LEAK, BEFORE, EARLIER, SPARE = range(12)
-"""Rows of a tile: light without beads and what beads add [lx], light [lx], its logarithm, what the
-pixel has followed of it, that less its value at the last event plus leak, thresholds, rise by leak
-[1/s]; logarithm and difference at the start of the step, and a row for half-made values."""
+FLOOR = 0
+"""Row of the light without beads [lx]."""
+GAIN = 1
+"""Row of the light that beads add [lx]."""
+LIGHT = 2
+"""Row of the light [lx]."""
+LOG = 3
+"""Row of its logarithm."""
+FOLLOW = 4
+"""Row of the part of the logarithm that the pixel has followed."""
+DIFFERENCE = 5
+"""Row of that part less its value at the last event, plus leak."""
+ON = 6
+"""Row of the ON thresholds."""
+OFF = 7
+"""Row of the OFF thresholds."""
+LEAK = 8
+"""Row of the rise by leak [1/s]."""
+BEFORE = 9
+"""Row of the logarithm at the start of the step."""
+EARLIER = 10
+"""Row of the difference at the start of the step."""
+SPARE = 11
+"""Row of intermediate values."""
 ROWS = 12
 """Number of rows."""
 SETTLED = np.float32(1e-3)

@@ -8,6 +8,7 @@ Any number of threads may call it: usually one produces data, and one per connec
 from __future__ import annotations
 
 import math
+import sys
 import time
 from array import array
 from collections.abc import Callable, Hashable, Iterable
@@ -20,8 +21,16 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
-from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
+from mixtac_sim.usb.endpoints import ControlEndpoint
+from mixtac_sim.usb.faults import (
+    Fault,
+    FaultInjector,
+    UsbBusy,
+    UsbGone,
+    UsbStall,
+    UsbTimeout,
+    VirtualUsbError,
+)
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
 from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
 from mixtac_sim.usb.words import ImuReading
@@ -31,9 +40,9 @@ Buffer: TypeAlias = 'array[int] | bytearray | memoryview'
 
 _IN: Final = 0x80
 _CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
-
-
+_ENDPOINTS: Final = {endpoints.DATA_ENDPOINT, endpoints.DEBUG_ENDPOINT}
 _DEFAULT_FIFO: Final = 4 << 20
+_LONGEST_WAIT_S: Final = 3600.0
 
 
 def _monotonic_us() -> Callable[[], int]:
@@ -69,23 +78,32 @@ class VirtualDavis346:
         self.board = board or Board()
         self._skew_ppm = skew_ppm
         self._clock = clock or _monotonic_us()
-        self._next_serial = ''
         self._condition = Condition()
-        self._presence = Presence()
+        # A session that began before the last plugging-in is dead, like a handle of its file.
+        self._plugs, self._resets = 1, 0
+        self._owner: Hashable | None = None
+        self._back_at: float | None = None
+        self._next_serial = ''
         self._faults = FaultInjector(self._condition)
         self._fifo = ByteFifo(fifo_bytes)
-        self._data = DataEndpoint(
-            self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
-        )
+        self._oldest_s, self._wanted = 0.0, sys.maxsize
         self._stream = StreamAssembler(self.board, self._fifo)
         self._power_ups = 0
         self._power_up()
 
     # The host's side.
 
-    def unplug(self) -> None:
-        """Remove the device: requests under way and later ones end with `UsbGone`."""
-        self.inject(Fault(FaultKind.UNPLUG))
+    def unplug(self, seconds: float = math.inf, serial: str = '') -> None:
+        """Remove the device: requests under way and later ones end with `UsbGone`.
+
+        Args:
+            seconds: Time after which it is plugged in again [s].
+            serial: Serial number to come back with, empty for the same.
+        """
+        with self._condition:
+            self._back_at = time.monotonic() + seconds
+            self._next_serial = serial
+            self._faults.clear()
 
     def plug_in(self, serial: str = '') -> None:
         """Bring the device back as after power-up; earlier sessions stay dead.
@@ -95,29 +113,25 @@ class VirtualDavis346:
         """
         with self._condition:
             self.serial = serial or self.serial
-            self._presence.plug_in()
+            self._back_at = self._owner = None
+            self._plugs += 1
             self._faults.clear()
             self._power_up()
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault."""
         with self._condition:
-            if fault.kind is FaultKind.UNPLUG:
-                self._presence.unplug(fault.seconds or math.inf)
-                self._next_serial = fault.serial
-                self._faults.clear()
-            elif fault.kind is FaultKind.PLUG_IN:
-                self.plug_in(fault.serial)
-            elif fault.kind is FaultKind.CLEAR:
-                self._faults.clear()
-            elif fault.kind is FaultKind.CLOCK_RESET:
-                self._restart_time(announce=True)
-            elif fault.kind is FaultKind.GARBAGE_WORDS:
-                rng = np.random.default_rng(fault.seed)
-                self._fifo.push(rng.integers(0, 1 << 16, fault.size // 2, np.uint16))
-                self._data.announce(was_empty=False)
-            else:
-                self._faults.begin(fault)
+            self._faults.begin(fault)
+
+    def clear_faults(self) -> None:
+        """End all faults."""
+        with self._condition:
+            self._faults.clear()
+
+    def restart_clock(self) -> None:
+        """Restart the camera's clock, as by the synchronisation cable."""
+        with self._condition:
+            self._restart_time(announce=True)
 
     def control(
         self,
@@ -149,9 +163,9 @@ class VirtualDavis346:
         limit_s = math.inf if timeout_s is None else timeout_s
         with self._condition:
             self.check_present()
-            plugs = self._presence.plugs
+            plugs = self._plugs
             self._faults.before_control(request_type, request, value, limit_s)
-            self._presence.check(plugs)
+            self.check_present(plugs)
             if request_type & _IN:
                 wanted = data if isinstance(data, int) else len(data)
                 answer = self._endpoint0.answer(request_type, request, value, index)[:wanted]
@@ -181,11 +195,8 @@ class VirtualDavis346:
             UsbStall: There is no such endpoint, or it is halted.
             UsbGone: The device was unplugged.
         """
-        self._before_read(endpoint, timeout_s)
-        with self._condition:
-            self.check_present()
-            out = np.empty(self._data.wait(endpoint, length, timeout_s), np.uint8)
-            return out[: self._fifo.pop_into(out)].tobytes()
+        buffer = bytearray(length)
+        return bytes(buffer[: self.read_into(endpoint, buffer, timeout_s)])
 
     def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
         """Wait for data like `read_bulk`, without a copy.
@@ -201,18 +212,17 @@ class VirtualDavis346:
         Raises:
             VirtualUsbError: As `read_bulk`.
         """
-        self._before_read(endpoint, timeout_s)
         out = np.frombuffer(buffer, np.uint8)
         with self._condition:
             self.check_present()
-            return self._fifo.pop_into(out[: self._data.wait(endpoint, len(out), timeout_s)])
+            return self._fifo.pop_into(out[: self._wait(endpoint, len(out), timeout_s)])
 
     @property
     def plugs(self) -> int:
         """Number of times the device was plugged in; a session keeps it for `check_present`."""
         with self._condition:
             self._plug_in_if_due()
-            return self._presence.plugs
+            return self._plugs
 
     def check_present(self, plugs: int | None = None) -> None:
         """Check that the device is present.
@@ -225,7 +235,10 @@ class VirtualDavis346:
         """
         with self._condition:
             self._plug_in_if_due()
-            self._presence.check(plugs)
+            if self._back_at is not None:
+                raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
+            if plugs is not None and plugs != self._plugs:
+                raise UsbGone('the virtual camera was unplugged; open it again')
 
     def claim(self, owner: Hashable) -> None:
         """Give the interface to one host session.
@@ -235,18 +248,21 @@ class VirtualDavis346:
         """
         with self._condition:
             self.check_present()
-            self._presence.claim(owner)
+            if self._owner not in {None, owner}:
+                raise UsbBusy('the virtual camera is in use by another program; close that one')
+            self._owner = owner
 
     def release(self, owner: Hashable) -> None:
         """Release the interface if a session holds it."""
         with self._condition:
-            self._presence.release(owner)
+            if self._owner == owner:
+                self._owner = None
 
     def reset(self) -> None:
         """Do a USB port reset: registers, buffer and clock as after power-up."""
         with self._condition:
             self.check_present()
-            self._presence.resets += 1
+            self._resets += 1
             self._faults.clear()
             self._power_up()
 
@@ -276,7 +292,7 @@ class VirtualDavis346:
             # What is sent may be as old as the whole step, as far as the early packet delay goes.
             age_us = true_us - self._stream.done_us
             self._stream.advance(true_us)
-            self._data.announce(was_empty=was_empty, age_s=1e-6 * age_us)
+            self._announce(was_empty=was_empty, age_s=1e-6 * age_us)
 
     def feed(self, words: NDArray[np.uint16]) -> bool:
         """Send raw stream words as they are, if the run bits are set and the buffer has room.
@@ -287,7 +303,7 @@ class VirtualDavis346:
         with self._condition:
             was_empty = not len(self._fifo)
             taken = self._stream.running and self._fifo.push(words)
-            self._data.announce(was_empty=was_empty)
+            self._announce(was_empty=was_empty)
             return taken
 
     def register(self, module: int, param: int) -> int:
@@ -342,7 +358,7 @@ class VirtualDavis346:
     def streaming(self) -> bool:
         """Whether the host has set the run bits."""
         with self._condition:
-            return self._stream.running and not self._presence.is_gone
+            return self._stream.running and self._back_at is None
 
     @property
     def losses(self) -> dict[str, int]:
@@ -359,16 +375,8 @@ class VirtualDavis346:
 
     # Internal; the lock is held.
 
-    def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
-        """Prepare a read, without the lock; for cameras that produce data on request.
-
-        Args:
-            endpoint: The endpoint.
-            timeout_s: Longest wait of the host [s]; None waits without limit.
-        """
-
     def _plug_in_if_due(self) -> None:
-        if self._presence.is_due:
+        if self._back_at is not None and time.monotonic() >= self._back_at:
             self.plug_in(self._next_serial)
 
     def _power_up(self) -> None:
@@ -384,11 +392,58 @@ class VirtualDavis346:
         cycles = self._registers.read(Module.USB, Usb.EARLY_PACKET_DELAY)
         return cycles * 1e-6 / (self.board.usb_mhz * self.board.deviation * 1e-3)
 
+    def _announce(self, *, was_empty: bool, age_s: float = 0.0) -> None:
+        """Wake readers if one of them may have enough data now.
+
+        Args:
+            was_empty: Whether the buffer was empty before.
+            age_s: Age of the oldest of the new data [s].
+        """
+        if was_empty and len(self._fifo):
+            self._oldest_s = time.monotonic() - age_s
+        elif len(self._fifo) < self._wanted:
+            return
+        self._condition.notify_all()
+
+    def _wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
+        """Wait until a read can be answered; return how many bytes it gets. See `read_bulk`."""
+        if endpoint not in _ENDPOINTS:
+            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        plugs, resets = self._plugs, self._resets
+        is_data = endpoint == endpoints.DATA_ENDPOINT
+        while True:
+            self.check_present(plugs)
+            if resets != self._resets:
+                raise VirtualUsbError('the port was reset during the read')
+            if is_data:
+                self._faults.before_read()
+            now = time.monotonic()
+            ready_at = self._ready_at(length, now) if is_data else None
+            if ready_at is not None and ready_at <= now:
+                self._oldest_s, self._wanted = now, sys.maxsize
+                return self._faults.granted(min(length & ~1, len(self._fifo)))
+            if deadline is not None and now >= deadline and not (is_data and self._faults.is_hung):
+                raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
+            self._wanted = min(self._wanted, length & ~1)
+            moments = (self._faults.thaws_at, ready_at, deadline, now + _LONGEST_WAIT_S)
+            self._condition.wait(min(m for m in moments if m is not None and m > now) - now)
+
+    def _ready_at(self, length: int, now: float) -> float | None:
+        if self._faults.is_frozen:
+            return None
+        self._fifo.drop(self._faults.take_dropped(len(self._fifo)))
+        if not len(self._fifo):
+            return None
+        if len(self._fifo) >= length & ~1:
+            return now
+        return self._oldest_s + self._early_packet_s()
+
     def _restart_time(self, *, announce: bool) -> None:
         was_empty = not len(self._fifo)
         self._reset_host_us = time.time_ns() // 1000
         self._stream.restart_time(self._clock(), announce=announce)
-        self._data.announce(was_empty=was_empty)
+        self._announce(was_empty=was_empty)
 
     def _written(self, module: int, param: int, before: int, value: int) -> None:
         if module == Module.MUX and not before and value:

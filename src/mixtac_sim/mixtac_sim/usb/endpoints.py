@@ -1,31 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The USB side of the virtual camera: descriptors, presence, control requests and data reads.
+"""The USB side of the virtual camera: descriptors and control requests.
 
 The descriptors are copied from the camera and never imported from the driver: they are its oracle.
 """
 
 from __future__ import annotations
 
-import math
 import struct
-import sys
-import time
-from collections.abc import Callable, Hashable
-from threading import Condition
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Final
 
-from mixtac_sim.usb.faults import (
-    FaultInjector,
-    UsbBusy,
-    UsbGone,
-    UsbStall,
-    UsbTimeout,
-    VirtualUsbError,
-)
+from mixtac_sim.usb.faults import UsbStall
 from mixtac_sim.usb.registers import RegisterFile
-from mixtac_sim.usb.stream import ByteFifo
 
 VENDOR_ID: Final = 0x152A
 PRODUCT_ID: Final = 0x841A
@@ -110,71 +98,6 @@ def parse(data: bytes) -> list[SimpleNamespace]:
             found.append(SimpleNamespace(**fields, extra_descriptors=[]))
         offset += data[offset]
     return found
-
-
-class Presence:
-    """Presence and ownership. Not thread safe: the device guards it.
-
-    Attributes:
-        plugs: Number of times the device was plugged in; a session that began before the last
-            time is dead, like a file handle of an unplugged device.
-        resets: Number of resets of the port.
-    """
-
-    def __init__(self) -> None:
-        self.plugs = 1
-        self.resets = 0
-        self._owner: Hashable | None = None
-        self._back_at: float | None = None
-
-    @property
-    def is_gone(self) -> bool:
-        """True while the device is unplugged."""
-        return self._back_at is not None
-
-    @property
-    def is_due(self) -> bool:
-        """Whether an unplugged device is due to be plugged in."""
-        return self._back_at is not None and time.monotonic() >= self._back_at
-
-    def unplug(self, seconds: float = math.inf) -> None:
-        """Remove the device; it is due again after some seconds."""
-        self._back_at = time.monotonic() + seconds
-
-    def plug_in(self) -> None:
-        """Bring the device back; all sessions from before are over."""
-        self._back_at = None
-        self._owner = None
-        self.plugs += 1
-
-    def check(self, plugs: int | None = None) -> None:
-        """Check that the device has been present since a session began.
-
-        Args:
-            plugs: What `plugs` was when the session began.
-
-        Raises:
-            UsbGone: It was unplugged.
-        """
-        if self.is_gone:
-            raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
-        if plugs is not None and plugs != self.plugs:
-            raise UsbGone('the virtual camera was unplugged; open it again')
-
-    def claim(self, owner: Hashable) -> None:
-        """Give the interface to one session.
-
-        Raises:
-            UsbBusy: Another session has it.
-        """
-        if self._owner not in {None, owner}:
-            raise UsbBusy('the virtual camera is in use by another program; close that one')
-        self._owner = owner
-
-    def release(self, owner: Hashable) -> None:
-        """Release the interface if a session holds it."""
-        if self._owner == owner:
-            self._owner = None
 
 
 REQUEST_REGISTER: Final = 0xBF
@@ -283,101 +206,3 @@ class ControlEndpoint:
         before = self._registers.read(module, param)
         self._registers.write(module, param, value)
         self._on_write(module, param, before, value)
-
-
-_LONGEST_WAIT_S: Final = 3600.0
-_ENDPOINTS: Final = {DATA_ENDPOINT, DEBUG_ENDPOINT}
-
-
-class DataEndpoint:
-    """Lets hosts wait for data. Not thread safe: the device guards it with its condition.
-
-    Args:
-        condition: The device's; its lock is held whenever a method is called.
-        fifo: The output buffer.
-        presence: Presence of the device.
-        faults: The active faults.
-        early_packet_s: Returns the early packet delay [s].
-    """
-
-    def __init__(
-        self,
-        condition: Condition,
-        fifo: ByteFifo,
-        presence: Presence,
-        faults: FaultInjector,
-        early_packet_s: Callable[[], float],
-    ) -> None:
-        self._condition = condition
-        self._fifo = fifo
-        self._presence = presence
-        self._faults = faults
-        self._early_packet_s = early_packet_s
-        self._oldest_s = 0.0
-        self._wanted = sys.maxsize
-
-    def announce(self, *, was_empty: bool, age_s: float = 0.0) -> None:
-        """Wake readers if one of them may have enough data now.
-
-        Args:
-            was_empty: Whether the buffer was empty before.
-            age_s: Age of the oldest of the new data [s].
-        """
-        if was_empty and len(self._fifo):
-            self._oldest_s = time.monotonic() - age_s
-        elif len(self._fifo) < self._wanted:
-            return
-        self._condition.notify_all()
-
-    def flush(self) -> None:
-        """Answer the next read with what is there, without the early packet delay."""
-        self._oldest_s = 0.0
-
-    def wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
-        """Wait until a read can be answered.
-
-        Args:
-            endpoint: 0x82 data, 0x81 debug messages, of which there are none.
-            length: Most bytes that the host takes.
-            timeout_s: Longest wait [s]; None waits without limit.
-
-        Returns:
-            How many bytes to take from the buffer.
-
-        Raises:
-            UsbTimeout: Nothing came in time.
-            UsbStall: There is no such endpoint, or it is halted.
-            UsbGone: The device was unplugged.
-            VirtualUsbError: A fault of the bus.
-        """
-        if endpoint not in _ENDPOINTS:
-            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        plugs, resets = self._presence.plugs, self._presence.resets
-        is_data = endpoint == DATA_ENDPOINT
-        while True:
-            self._presence.check(plugs)
-            if resets != self._presence.resets:
-                raise VirtualUsbError('the port was reset during the read')
-            if is_data:
-                self._faults.before_read()
-            now = time.monotonic()
-            ready_at = self._ready_at(length, now) if is_data else None
-            if ready_at is not None and ready_at <= now:
-                self._oldest_s, self._wanted = now, sys.maxsize
-                return self._faults.granted(min(length & ~1, len(self._fifo)))
-            if deadline is not None and now >= deadline and not (is_data and self._faults.is_hung):
-                raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
-            self._wanted = min(self._wanted, length & ~1)
-            moments = (self._faults.thaws_at, ready_at, deadline, now + _LONGEST_WAIT_S)
-            self._condition.wait(min(m for m in moments if m is not None and m > now) - now)
-
-    def _ready_at(self, length: int, now: float) -> float | None:
-        if self._faults.is_frozen:
-            return None
-        self._fifo.drop(self._faults.take_dropped(len(self._fifo)))
-        if not len(self._fifo):
-            return None
-        if len(self._fifo) >= length & ~1:
-            return now
-        return self._oldest_s + self._early_packet_s()

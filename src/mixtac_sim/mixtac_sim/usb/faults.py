@@ -1,20 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""USB errors of the virtual camera, and faults that can be injected to provoke them.
+"""USB errors of the virtual camera, and faults that provoke them.
 
-Inject a `Fault` by `mixtac_sim.usb.device.VirtualDavis346.inject`, or from another process by
-`mixtac_sim.usb.pyusb_backend.inject`. Real cameras have no such interface.
+`mixtac_sim.usb.device.VirtualDavis346.inject` injects a `Fault`. Real cameras have no such
+interface.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import random
 import time
-from dataclasses import asdict, dataclass
-from enum import Enum
-from errno import EBUSY, EINVAL, EIO, ENODEV, EOVERFLOW, EPIPE, ETIMEDOUT
+from dataclasses import dataclass
+from enum import Enum, auto
+from errno import EBUSY, EIO, ENODEV, EOVERFLOW, EPIPE, ETIMEDOUT
 from threading import Condition
 from typing import Final
 
@@ -61,25 +60,16 @@ class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
     errno = EOVERFLOW
 
 
-class FaultError(VirtualUsbError):
-    """A fault that cannot be injected."""
-
-    errno = EINVAL
-
-
 class NoVirtualSensorError(VirtualUsbError):
     """No virtual sensor listens on the socket."""
 
     errno = ENODEV
 
 
-class FaultKind(str, Enum):
+class FaultKind(Enum):
     """Kinds of faults.
 
     Attributes:
-        UNPLUG: The camera disappears; after ``seconds`` it is plugged in again, as after
-            power-up, with ``serial`` as its serial number if that is given.
-        PLUG_IN: The camera comes back now.
         STALL_DATA: The data endpoint halts until the host clears the halt, ``count`` times.
         STALL_CONTROL: Vendor requests are refused.
         TIMEOUT_CONTROL: Control requests find no answer, except those that a kernel answers.
@@ -87,35 +77,23 @@ class FaultKind(str, Enum):
         SHORT_READS: Reads return a random number of bytes, odd ones too; the other half of a word
             that was cut is lost.
         DROP_BYTES: ``size`` bytes are lost, rounded up to whole words.
-        GARBAGE_WORDS: ``size`` bytes of random words come between the data.
         FREEZE: The data endpoint has nothing to send; with neither ``seconds`` nor ``count`` until
             the host restarts the stream.
         HANG_READS: Reads do not return, not even at their time-out, until the port is reset.
         BABBLE: Reads fail because more data came than requested (EOVERFLOW).
         READ_ERROR: Reads fail on the bus (EIO).
-        CLOCK_RESET: The camera's clock restarts, as by the synchronisation cable.
-        CLEAR: All faults end.
     """
 
-    UNPLUG = 'unplug'
-    PLUG_IN = 'plug_in'
-    STALL_DATA = 'stall_data'
-    STALL_CONTROL = 'stall_control'
-    TIMEOUT_CONTROL = 'timeout_control'
-    GARBAGE_REGISTERS = 'garbage_registers'
-    SHORT_READS = 'short_reads'
-    DROP_BYTES = 'drop_bytes'
-    GARBAGE_WORDS = 'garbage_words'
-    FREEZE = 'freeze'
-    HANG_READS = 'hang_reads'
-    BABBLE = 'babble'
-    READ_ERROR = 'read_error'
-    CLOCK_RESET = 'clock_reset'
-    CLEAR = 'clear'
-
-
-_LARGEST: Final = 1e9
-_LONGEST_SERIAL: Final = 8
+    STALL_DATA = auto()
+    STALL_CONTROL = auto()
+    TIMEOUT_CONTROL = auto()
+    GARBAGE_REGISTERS = auto()
+    SHORT_READS = auto()
+    DROP_BYTES = auto()
+    FREEZE = auto()
+    HANG_READS = auto()
+    BABBLE = auto()
+    READ_ERROR = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +104,8 @@ class Fault:
         kind: Kind of the fault.
         seconds: Duration [s]; 0 for no end.
         count: Requests or reads after which it ends; 0 for no end.
-        size: Bytes lost or inserted.
+        size: Bytes lost.
         seed: Seed of random values.
-        serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`, at most eight
-            characters; empty for the same.
-
-    Raises:
-        FaultError: A value is not finite, negative or too large.
     """
 
     kind: FaultKind
@@ -140,42 +113,6 @@ class Fault:
     count: int = 0
     size: int = 0
     seed: int = 0
-    serial: str = ''
-
-    def __post_init__(self) -> None:
-        """Refuse what would end the camera."""
-        for name in ('seconds', 'count', 'size', 'seed'):
-            value = getattr(self, name)
-            if not 0 <= value <= _LARGEST:
-                raise FaultError(
-                    f'{name} of the fault {self.kind.value} is {value!r}',
-                    remedy=f'give 0 to {_LARGEST:g}',
-                )
-        if len(self.serial) > _LONGEST_SERIAL:
-            raise FaultError(
-                f'the serial number {self.serial!r} is too long',
-                remedy=f'give at most {_LONGEST_SERIAL} characters',
-            )
-
-    def to_json(self) -> bytes:
-        """Return the fault as a JSON object with the names of the attributes."""
-        return json.dumps(asdict(self)).encode()
-
-    @classmethod
-    def from_json(cls, data: bytes) -> Fault:
-        """Return the fault that `to_json` wrote; what is missing has its default.
-
-        Raises:
-            FaultError: The data describe no fault.
-        """
-        try:
-            fields = json.loads(data)
-            return cls(**{**fields, 'kind': FaultKind(fields['kind'])})
-        except (ValueError, KeyError, TypeError) as error:
-            known = ', '.join(kind.value for kind in FaultKind)
-            raise FaultError(
-                f'{data!r} is not a fault ({error})', remedy=f'kinds are {known}'
-            ) from error
 
 
 _BLOCKING: Final = (FaultKind.FREEZE, FaultKind.HANG_READS)

@@ -5,7 +5,7 @@
 The camera is reached through a link, which is one session of a host: `SocketLink` talks to a
 server in another process (entry point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a
 device in this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where USB would fail
-so. `inject` injects a fault into a camera behind a socket.
+so.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 
@@ -16,7 +16,6 @@ import secrets
 import socket
 import threading
 from contextlib import contextmanager, suppress
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from usb.backend import IBackend
@@ -24,7 +23,6 @@ from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb import endpoints, wire
 from mixtac_sim.usb.faults import (
-    FaultError,
     NoVirtualSensorError,
     UsbBusy,
     UsbGone,
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from types import SimpleNamespace
 
     from mixtac_sim.usb.device import VirtualDavis346
-    from mixtac_sim.usb.faults import Fault
 
     Link: TypeAlias = 'InProcessLink | SocketLink'
 
@@ -76,14 +73,10 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     Args:
         connect: Opens a link to the camera, or raises `VirtualUsbError` when there is none.
-        inject: Injects a fault into the camera.
-
-    Attributes:
-        inject: As given.
     """
 
-    def __init__(self, connect: Callable[[], Link], inject: Callable[[Fault], None]) -> None:
-        self._connect, self.inject = connect, inject
+    def __init__(self, connect: Callable[[], Link]) -> None:
+        self._connect = connect
         self._lock = threading.Lock()
         self._parsed: list[SimpleNamespace] | None = None
 
@@ -260,7 +253,7 @@ class InProcessLink:
 
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
     """Return a pyusb backend that finds this one device."""
-    return VirtualBackend(lambda: InProcessLink(device), device.inject)
+    return VirtualBackend(lambda: InProcessLink(device))
 
 
 _CONTROL_CHANNEL: Final = 0
@@ -269,7 +262,7 @@ _GRACE_S: Final = 5.0
 # Longest wait for requests that the server answers without the camera.
 _QUICK_MS: Final = 100
 _ERRORS: Final = {
-    kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy, UsbOverflow, FaultError)
+    kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy, UsbOverflow)
 }
 
 
@@ -400,26 +393,4 @@ def open_backend(device: str) -> VirtualBackend:
     """
     path = device.partition(':')[2] or wire.default_socket_path()
     SocketLink(path).close()
-    return VirtualBackend(lambda: SocketLink(path), partial(inject, path))
-
-
-def inject(path: str, fault: Fault) -> None:
-    """Inject a fault into the virtual camera behind a socket.
-
-    Args:
-        path: Socket of the virtual sensor, as `mixtac_sim.usb.wire.default_socket_path`.
-        fault: The fault.
-
-    Raises:
-        NoVirtualSensorError: No virtual sensor listens there.
-        FaultError: It refused the fault.
-    """
-    with _connect(path) as connection:
-        try:
-            wire.call(connection, wire.FAULT, data=fault.to_json())
-        except wire.TransferError as error:
-            raise FaultError(f'the virtual sensor on {path} refused {fault}: {error}') from error
-        except OSError as error:
-            raise NoVirtualSensorError(
-                f'the virtual sensor on {path} is gone: {error}', remedy='start it again'
-            ) from error
+    return VirtualBackend(lambda: SocketLink(path))

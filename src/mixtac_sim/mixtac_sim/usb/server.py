@@ -16,7 +16,7 @@ from typing import Final
 
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import Fault, UsbTimeout, VirtualUsbError
+from mixtac_sim.usb.faults import UsbTimeout, VirtualUsbError
 
 # How long a read may wait in the device before the server checks that the host is still there.
 _SLICE_S: Final = 0.25
@@ -148,7 +148,7 @@ class UsbServer:
         try:
             if header[0] == wire.READ:
                 if len(reply) != start + header[5]:
-                    reply = bytearray(start + _checked(header[5]))
+                    reply = bytearray(start + header[5])
                 with memoryview(reply) as view:
                     size = self._read(connection, header, session, view[start:])
             else:
@@ -167,10 +167,7 @@ class UsbServer:
     ) -> bytes:
         operation, kind, request, value, index, length, timeout_ms, _ = header
         incoming = kind & wire.DIRECTION_IN and operation == wire.CONTROL
-        data = length if incoming else wire.receive(connection, _checked(length))
-        if operation == wire.FAULT and isinstance(data, bytes):
-            self._device.inject(Fault.from_json(data))
-            return b''
+        data = length if incoming else wire.receive(connection, length)
         self._device.check_present(session.plugs)
         if operation == wire.CONTROL:
             limit_s = timeout_ms / 1000 or None
@@ -216,12 +213,6 @@ class _Session:
     number: int
     plugs: int
     connections: int = 0
-
-
-def _checked(length: int) -> int:
-    if length > wire.MAX_TRANSFER:
-        raise ConnectionAbortedError(f'a transfer of {length} bytes is not sensible')
-    return length
 
 
 def check_free(path: str) -> None:

@@ -9,9 +9,6 @@ timeout in ms where 0 means none, session), followed by that many bytes where da
 A reply is `REPLY` (0 or an errno value, length), followed by that many bytes. One request at a time
 travels on a connection; a host opens one connection for control and one for each endpoint, all
 under one session number of its choice, so that the interface belongs to the session.
-
-`FAULT` is no USB transfer: its data are a JSON object (see `mixtac_sim.usb.faults.Fault`), and it
-injects a fault into the virtual camera.
 """
 
 from __future__ import annotations
@@ -29,8 +26,6 @@ READ: Final = 2
 CLAIM: Final = 3
 RELEASE: Final = 4
 RESET: Final = 5
-FAULT: Final = 6
-MAX_TRANSFER: Final = 16 << 20
 DIRECTION_IN: Final = 0x80
 
 
@@ -98,7 +93,7 @@ def call(
 
     Args:
         connection: A connected socket that no other thread uses during the call.
-        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE`, `RESET` or `FAULT`.
+        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE` or `RESET`.
         setup: ``bmRequestType`` or endpoint address, ``bRequest``, ``wValue`` and ``wIndex``.
         data: Data to the device.
         wanted: Bytes wanted from the device, where none are sent.

@@ -37,9 +37,6 @@ class Camera:
         aps: When frames are taken; by default with the exposure of the day.
         pixels: Settings of the DVS pixels of a nominal chip.
         flicker: Flicker of the lamp; drawn from the preset by default.
-
-    Attributes:
-        now_us: Time up to which it has been advanced [us of true time].
     """
 
     def __init__(
@@ -69,17 +66,13 @@ class Camera:
         self._dvs.settle(self._renderer.cover)
         self._rest_light = self._dvs.light.ravel()[:PIXELS].copy()
         self._noise = self._noise_source(settings)
-        self.light_by(draw_flicker(seed, preset.light) if flicker is None else flicker)
+        self._flicker = draw_flicker(seed, preset.light) if flicker is None else flicker
+        self._dvs.light_by(self._flicker)
         speed = preset.bandwidth
         self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
         self._latency = BlockStreams(seed, 'event latency')
         self._block = 0
-        self.now_us = 0
-
-    def light_by(self, flicker: Flicker) -> None:
-        """Let the lamp flicker like this from the next block on."""
-        self._flicker = flicker
-        self._dvs.light_by(flicker)
+        self._now_us = 0
 
     def _noise_source(self, settings: PixelSettings) -> NoiseSource:
         device = self._device
@@ -116,7 +109,7 @@ class Camera:
             place: Returns the images of the beads after grid steps `first` to `last` - 1 of the
                 block; called once per step, in order.
         """
-        steps, start_us = len(elastic_n), self.now_us
+        steps, start_us = len(elastic_n), self._now_us
         end_us, span_ns = start_us + steps * STEP_US, 1000 * steps * STEP_US
         bursts = self._aps.disturbances_us(start_us, end_us)
         frames: list[ApsFrame] = []
@@ -138,7 +131,7 @@ class Camera:
         rng = self._latency.block(self._block)
         events = self._readout.read(keys, 1000 * start_us, span_ns, rng)
         self._block += 1
-        self.now_us = end_us
+        self._now_us = end_us
         return events, frames
 
     def _show(self, spots: Floats, elastic_n: float) -> None:

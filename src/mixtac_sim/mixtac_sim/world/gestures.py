@@ -143,7 +143,6 @@ def touch(
     span_s: float,
     move: tuple[float, float, float] = (0, 0, 0),
     roll: tuple[float, float] = (0, 0),
-    rest_s: float = REST_S,
 ) -> list[Segment]:
     """Return a press that is held, moved across the normal, and released with a rest.
 
@@ -153,12 +152,11 @@ def touch(
         span_s: Length with the rest [s]; less than 0.8 s beside the rest is no touch.
         move: Motion: right and down [mm], turn [rad]; undone in the air.
         roll: How far the contact rolls, right and down [mm]; undone in the air.
-        rest_s: Rest [s], at least 0.3.
     """
-    if span_s < rest_s + 0.8:
+    if span_s < REST_S + 0.8:
         return []
     force, rise, fall = rng.uniform(0.3, 1.0), rng.uniform(0.1, 0.3), rng.uniform(0.06, 0.2)
-    top, end = start_s + rise, start_s + span_s - rest_s
+    top, end = start_s + rise, start_s + span_s - REST_S
     hold = _hold(rng, top, end - fall, force)
     back, unroll = (-move[0], -move[1], -move[2]), (-roll[0], -roll[1])
     return [
@@ -194,13 +192,6 @@ def torsion(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
 def roll(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return a press that rolls over the skin by 1 to 3 mm."""
     return touch(rng, start_s, span_s, roll=_any_way(rng, 1.0, 3.0))
-
-
-def pull_and_roll(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
-    """Return a press that is pulled sideways by 0.3 to 0.8 mm, and one that rolls by 1 to 3 mm."""
-    half, pull, rolled = 0.5 * span_s, _any_way(rng, 0.3, 0.8), _any_way(rng, 1.0, 3.0)
-    first = touch(rng, start_s, half, (*pull, 0.0), rest_s=0.4)
-    return first + touch(rng, start_s + half, half, roll=rolled, rest_s=0.4)
 
 
 PULLED_G = 20.0

@@ -59,7 +59,6 @@ class TrialSpec:
         profile: Force profile of `mixtac_sim.world.profiles`.
         seconds: Length.
         preset: Difficulty preset of the sensor (`mixtac_sim.world.effects`).
-        without: Effect of the preset that is switched off; empty for none.
         session: Seed of the day that several trials share; None for a day of its own.
     """
 
@@ -68,16 +67,14 @@ class TrialSpec:
     profile: str
     seconds: float
     preset: str = TRAINING_PRESET
-    without: str = ''
     session: int | None = None
 
     @property
     def name(self) -> str:
         """File name for data of the trial."""
         seeds = f'd{self.device_seed}_t{self.trial_seed}'
-        kind = self.preset if not self.without else f'{self.preset}-{self.without}'
-        kind += '' if self.session is None else f'_s{self.session}'
-        return f'{self.profile}_{seeds}_{self.seconds:g}s_{kind}'
+        session = '' if self.session is None else f'_s{self.session}'
+        return f'{self.profile}_{seeds}_{self.seconds:g}s_{self.preset}{session}'
 
 
 SHORTEST_S = {'demo': 10.0}
@@ -189,12 +186,14 @@ def unseen_devices(count: int, seed: int) -> list[int]:
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
-    chosen = named_preset(spec.preset)
-    if spec.without:
-        chosen = chosen.without(spec.without)
-    seeds = (spec.device_seed, spec.trial_seed)
     return simulate_trial(
-        *seeds, spec.profile, spec.seconds, sync=True, preset=chosen, session=spec.session
+        spec.device_seed,
+        spec.trial_seed,
+        spec.profile,
+        spec.seconds,
+        sync=True,
+        preset=named_preset(spec.preset),
+        session=spec.session,
     )
 
 

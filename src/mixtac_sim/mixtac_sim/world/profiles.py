@@ -21,7 +21,6 @@ from mixtac_sim.world.gestures import (
     long_hold,
     oscillation,
     press_and_hold,
-    pull_and_roll,
     pulls,
     roll,
     shear,
@@ -59,8 +58,7 @@ def make_profile(
             ``touch``, ``shear``, ``slide``, ``torsion``, ``roll`` (presses with a long rest after
             each, that are held still, pulled sideways with and without a slide, turned about the
             normal or rolled), ``handling`` (all of these without a rest), ``knocks`` (presses that
-            are knocked sideways), ``pull_and_roll`` (one press of each kind) or ``demo`` (a bit of
-            every normal force).
+            are knocked sideways) or ``demo`` (a bit of every normal force).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
         sync: Start and end with a synchronising impulse; by default only ``demo`` does.
@@ -162,7 +160,6 @@ PROFILES: dict[str, Body] = {
     'roll': _repeated(roll, 2.6, 3.4),
     'handling': _repeated(handling, 2.5, 5.0),
     'knocks': _repeated(knocks, 2.0, 4.0),
-    'pull_and_roll': pull_and_roll,
     'demo': _demo,
 }
 """Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

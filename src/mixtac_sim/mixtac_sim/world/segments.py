@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,30 +114,8 @@ Commands = tuple[NDArray[np.int8], Floats, NDArray[np.int8]]
 """Modes, targets and indenters of some grid steps."""
 
 
-class CommandSource(Protocol):
-    """Source of the commands of a sensor: a profile, or live requests."""
-
-    @property
-    def indenters(self) -> tuple[Indenter, ...]:
-        """All indenters that may touch."""
-
-    def commands(self, first: int, count: int) -> Commands:
-        """Return modes, targets and indenters of some grid steps."""
-
-    def longest_step(self, first: int, count: int) -> int:
-        """Return the most grid steps that may be taken at once among some."""
-
-    def motion(self, first: int, count: int) -> Floats | None:
-        """Return the motion across the normal over some grid steps; None if there never is one.
-
-        Right and down [mm], turn [rad], all nan where the indenter goes back to where the first
-        contact was, rolling to the right and down [mm], and the pull to the right and down at the
-        end of each step [N], nan where nothing pulls [count, 7].
-        """
-
-
 def still(count: int) -> Floats:
-    """Return the motion of an indenter that is held, as `CommandSource.motion` does."""
+    """Return the motion of an indenter that is held, as `Profile.motion` does."""
     return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, np.nan], (count, 1))
 
 
@@ -204,7 +182,10 @@ class Profile:
         """Return the motion across the normal over grid steps ``first`` to ``first + count``.
 
         Returns:
-            As `CommandSource.motion`; None if nothing in the profile moves so.
+            Right and down [mm], turn [rad], all nan where the indenter goes back to where the first
+            contact was, rolling to the right and down [mm], and the pull to the right and down at
+            the end of each step [N], nan where nothing pulls [count, 7]; None if nothing in the
+            profile moves so.
         """
         if not self._moving:
             return None

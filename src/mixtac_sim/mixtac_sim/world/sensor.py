@@ -20,7 +20,7 @@ from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device, draw_flicker
 from mixtac_sim.world.effects import EASY, Preset
-from mixtac_sim.world.segments import CommandSource
+from mixtac_sim.world.segments import LiveProfile, Profile
 
 TRUTH_DTYPE = np.dtype(
     [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8'), ('tz', 'f8')]
@@ -133,7 +133,7 @@ class TactileSensor:
         self,
         device_seed: int,
         trial_seed: int,
-        profile: CommandSource,
+        profile: Profile | LiveProfile,
         aps: ApsSettings | None = None,
         pixels: PixelSettings | None = None,
         *,

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
 import subprocess
 import sys
@@ -16,7 +14,6 @@ import pytest
 
 from mixtac_core.recordings.dataset import DatasetDescription
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_sim import SimulationError
 from mixtac_sim.bags import trial_bag
 from mixtac_sim.bags.trial_bag import UNFINISHED, generate, is_finished, write_trial
 from mixtac_sim.world.plans import describe, plan_profile
@@ -115,24 +112,6 @@ def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):
     (tmp_path / 'notes.txt').write_text('mine')
     with pytest.raises(RecordingError):
         generate(description(), tmp_path)
-
-
-def test_two_runs_do_not_share_a_folder(tmp_path):
-    handle = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    try:
-        with pytest.raises(RecordingError):
-            generate(description(), tmp_path)
-    finally:
-        os.close(handle)
-
-
-def test_what_cannot_be_simulated_leaves_nothing_behind(tmp_path):
-    wrong = description(trials=1)
-    wrong = replace(wrong, trials=(replace(wrong.trials[0], seconds=1.0),))
-    with pytest.raises(SimulationError):
-        generate(wrong, tmp_path)
-    assert not is_finished(tmp_path, 'trial_000')
 
 
 def test_a_bag_that_cannot_be_written_is_named(tmp_path):

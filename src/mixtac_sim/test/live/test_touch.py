@@ -4,17 +4,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from mixtac_core.events.errors import MixtacError
-from mixtac_sim import SimulationError
 from mixtac_sim.live import touch as live_gestures
-from mixtac_sim.live.touch import ENDLESS_S, LARGEST_N, TouchControl
+from mixtac_sim.live.touch import ENDLESS_S, TouchControl
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS
 from mixtac_sim.world.segments import LiveProfile
@@ -141,42 +136,6 @@ def test_a_vibration_has_its_frequency_and_amplitude(sensor, control):
     assert np.fft.rfftfreq(len(middle), 125e-6)[spectrum.argmax()] == pytest.approx(80.0, abs=2.0)
 
 
-@settings(max_examples=30)
-@given(st.lists(st.tuples(st.floats(0.0, LARGEST_N), st.integers(1, 400)), min_size=2, max_size=12))
-@example([(1.0, 10), (0.0, 9)])  # the second comes when the first has just been reached
-def test_commanded_forces_are_followed_without_a_gap(steps):
-    sensor = Sensor()
-    control = TouchControl(sensor)
-    modes, targets = [], []
-    for force, pause_ms in steps:
-        control.follow(force)
-        part = sensor.commands(sensor.now_us + 1000 * pause_ms)
-        modes.append(part[0])
-        targets.append(part[1])
-    modes, targets = np.concatenate(modes), np.concatenate(targets)
-    slopes = [abs(after - before) for before, after in pairwise(targets)]
-    # The steepest way is the smooth ramp of 10 ms.
-    assert max(slopes) <= 1.5 * LARGEST_N / 80 + 1e-9
-    touching = np.flatnonzero(modes == Mode.FORCE)
-    if all(pause_ms < 250 for _, pause_ms in steps):
-        assert np.all(np.diff(touching) == 1)
-
-
-def test_a_commanded_force_fades_when_no_new_one_comes(sensor, control):
-    control.follow(1.0)
-    _, targets = sensor.commands(200_000)
-    assert targets[-1] == pytest.approx(1.0)
-    modes, _ = sensor.commands(600_000)
-    assert not modes[-1]
-
-
-@pytest.mark.parametrize('force', [float('nan'), float('inf'), -0.1, LARGEST_N + 1.0])
-def test_senseless_forces_are_refused(sensor, control, force):
-    with pytest.raises(SimulationError):
-        control.follow(force)
-    assert sensor.profile.end_us() is None
-
-
 @pytest.mark.parametrize(
     'request_',
     [
@@ -203,23 +162,6 @@ def test_a_scenario_goes_on_until_the_next_begins(sensor, control):
     assert (modes == Mode.FORCE).all()
     assert np.allclose(targets, 0.5)
     assert sensor.profile.end_us() > 1e6 * ENDLESS_S
-
-
-def test_memory_of_past_scenarios_is_bounded(sensor, control):
-    for _ in range(500):
-        control.follow(0.3)
-        sensor.commands(sensor.now_us + 1000)
-    assert len(sensor.profile._plays) < 12
-
-
-@pytest.mark.parametrize('name', list(LIVE_INDENTERS))
-def test_every_object_can_be_simulated(name):
-    profile = LiveProfile((LIVE_INDENTERS[name],))
-    sensor = TactileSensor(1, 1, profile)
-    profile.play(live_gestures.press(LIVE_INDENTERS[name], 0.5, 0.05), 0)
-    truth = sensor.advance(260_000).truth
-    assert truth['fz'].max() == pytest.approx(0.5, rel=0.02)
-    assert 0.05 < truth['depth_mm'].max() < 3.0
 
 
 def test_what_was_pulled_away_touches_where_it_did_at_first():

@@ -20,7 +20,7 @@ from mixtac_sim.live.virtual_sensor import SimulationClock, SimulationProcess, V
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, Indenter
 from mixtac_sim.pixels.aps import ApsSettings
-from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, ON, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.world.effects import EASY
@@ -48,16 +48,17 @@ class OneEventPerMillisecond:
 
     def __init__(self):
         self.until = 0
-        self.aps = []
-        self.steps = []
+        self.aps, self.pixels = [], []
 
     def configure_aps(self, settings):
         self.aps.append((settings.exposure_us, settings.interval_us))
 
+    def configure_pixels(self, nominal):
+        self.pixels.append(nominal)
+
     def advance(self, until_us):
         assert until_us > self.until
         t = np.arange(-(-self.until // 1000) * 1000, until_us, 1000, dtype=np.int64)
-        self.steps.append(until_us - self.until)
         self.until = until_us
         ones = np.ones(len(t), np.uint16)
         truth = np.zeros(len(t), TRUTH_DTYPE)
@@ -191,6 +192,17 @@ def test_exposure_and_interval_follow_the_registers(sensor, simulation, host):
     exposure_us, interval_us = simulation.aps[2]
     assert exposure_us == 10_000
     assert 16_000 <= interval_us < 17_000
+
+
+def test_pixels_follow_the_bias_registers(sensor, simulation, host):
+    for place, value in DEFAULT_REGISTERS.items():
+        sensor.device.control(0x40, 0xBF, 5, place, struct.pack('>I', value))
+    run_for(sensor, host, 0.002)
+    assert simulation.pixels == []
+    low = 15 | 16 << 4 | 5 << 12  # coarse 5, fine 16
+    sensor.device.control(0x40, 0xBF, 5, ON, struct.pack('>I', low))
+    run_for(sensor, host, 0.002)
+    assert simulation.pixels == [PixelSettings.from_biases({ON: low}, PixelSettings())]
 
 
 def test_unfetched_batches_are_bounded_and_counted(sensor, host):

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode, PronySeries
+from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode
 from mixtac_sim.mechanics.elastomer import WEIGHT_20_G, force_law
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
@@ -100,40 +100,3 @@ def test_contacts_and_flights_are_those_of_the_oracle(both):
     steps = (1e6 * np.stack([landings, leavings]) / STEP_US).round().astype(int)
     found = [path.force_n[a:b].max() for a, b in steps.T[:6]]
     np.testing.assert_allclose(found, peaks, rtol=0.01)
-
-
-def loss_tangent(series, frequency_hz):
-    """Return tan delta of a Prony series under a small sinusoid."""
-    turn = 2j * np.pi * frequency_hz * np.array(series.times_s)
-    modulus = 1.0 + np.sum(np.array(series.weights) * turn / (1.0 + turn))
-    return modulus.imag / modulus.real
-
-
-@pytest.mark.parametrize('weight', [0.1, 0.2, 0.35])
-def test_restitution_falls_with_the_loss_tangent(weight):
-    """exp(-pi tan(delta) / 2), for small losses, at the frequency of the contact's half period."""
-    device = draw_device(11, PAPER)
-    law = force_law(device.layer, WEIGHT_20_G, device.mesh_n_per_mm)
-    prony = PronySeries((weight, weight), (0.5e-3, 3e-3))
-    landings, leavings, _ = simulated(law, prony, 0.5)
-    loss = loss_tangent(prony, 0.5 / (leavings[0] - landings[0]))
-    flight = landings[1] - leavings[0]
-    restitution = 0.5 * GRAVITY * flight / np.sqrt(2.0 * GRAVITY * 0.05)
-    assert restitution == pytest.approx(np.exp(-0.5 * np.pi * loss), rel=0.1)
-
-
-@pytest.mark.parametrize('seed', range(20, 28))
-def test_bouncing_ends_when_the_speed_no_longer_lifts_the_rest_dent(seed):
-    """A spring of rest dent d lets a mass go only above sqrt(g d); the restitution takes it there.
-
-    That bound counts bounces from the speed of arrival, the first restitution and the rest dent.
-    """
-    device = draw_device(seed, PAPER)
-    law = force_law(device.layer, WEIGHT_20_G, device.mesh_n_per_mm, device.stiffening)
-    landings, leavings, _ = simulated(law, device.prony, 2.5)
-    arrival = np.sqrt(2.0 * GRAVITY * 0.05)
-    restitution = 0.5 * GRAVITY * (landings[1] - leavings[0]) / arrival
-    assert 0.62 < restitution < 0.92
-    last = np.sqrt(1e-3 * GRAVITY * law.depth_at(MASS_KG * GRAVITY))
-    bound = np.log(last / arrival) / np.log(restitution)
-    assert 0.5 * bound - 1.0 < len(landings) - 1 < bound + 1.0

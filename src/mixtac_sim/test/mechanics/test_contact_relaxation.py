@@ -76,12 +76,3 @@ def test_slow_loops_lose_as_much_as_soft_silicone(name):
         lost.append(1.0 - down / up)
     assert 0.03 < np.mean(lost) < 0.2
     assert max(lost) < 0.25
-
-
-def test_creep_of_minutes_comes_with_the_harder_presets():
-    easy, hard = draw_device(2).prony, draw_device(2, preset('paper_like')).prony
-    assert max(easy.times_s) < 60.0
-    assert 80.0 < max(hard.times_s) < 320.0
-    still = drive(Mode.FORCE, np.full(round(25.0 / STEP_S), 0.5), hard).depth_mm
-    late = still[-1] - still[len(still) // 2]
-    assert 0.001 < late / still[-1] < 0.05

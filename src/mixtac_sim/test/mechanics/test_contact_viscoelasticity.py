@@ -44,19 +44,6 @@ def test_update_is_the_hereditary_integral():
         assert forces[k] == pytest.approx(convolve(path, step * (k + 1)), rel=1e-3, abs=1e-6)
 
 
-def test_step_size_does_not_matter_for_a_ramp():
-    coarse = respond(np.linspace(0.1, 1.0, 10), 0.01)
-    fine = respond(np.linspace(0.001, 1.0, 1000), 1e-4)
-    np.testing.assert_allclose(coarse, fine[99::100], rtol=1e-9)
-
-
-def test_held_depth_relaxes_to_the_elastic_force():
-    forces = respond(np.ones(4000), 0.01)
-    assert forces[0] > 1.1
-    assert np.all(np.diff(forces) < 0.0)
-    assert forces[-1] == pytest.approx(1.0, abs=1e-6)
-
-
 def loss_tangent(series, frequency_hz):
     """Return tan delta of a Prony series under a small sinusoid."""
     turn = 2j * np.pi * frequency_hz * np.array(series.times_s)

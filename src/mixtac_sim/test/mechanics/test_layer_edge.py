@@ -8,7 +8,6 @@ import pytest
 from mixtac_sim.mechanics import layer as edge_contact
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, INDENTERS, Layer, force_law
 from mixtac_sim.mechanics.layer import solve_edge
-from mixtac_sim.world.device import draw_device
 
 EDGE = INDENTERS['edge']
 THICKNESS = 4.25
@@ -81,14 +80,3 @@ def test_volume_is_kept(contact):
         np.trapezoid((ends[1] - ends[0]).reshape(41, 81), y, axis=1), THICKNESS * heights
     )
     assert squeezed == pytest.approx(sides + lengthwise, rel=0.05)
-
-
-def test_beads_move_by_the_field():
-    device = draw_device(3)
-    law = force_law(device.layer, EDGE, device.mesh_n_per_mm)
-    beads = device.beads(device.layer, (0.0, 0.0), (EDGE,), [law])
-    moved = beads.place(0, 1.0, (0.0, 0.0)).copy() - beads.place(0, 0.0, (0.0, 0.0))
-    m = device.markers
-    beside = (np.abs(m.x_mm) < 3.0) & (np.abs(m.y_mm) < 4.0) & (np.abs(m.y_mm) > 1.0)
-    assert np.mean(np.sign(moved[beside, 1]) == np.sign(m.y_mm[beside])) > 0.9
-    assert np.abs(moved[beside, 1]).mean() > 2.0 * np.abs(moved[beside, 0]).mean()

@@ -25,17 +25,6 @@ def test_blur_grows_by_the_known_rate():
     assert float(lens.blur_px(2.0 - 1.41)) == pytest.approx(1.1, rel=0.1)
 
 
-def test_pixel_slopes_undo_the_projection():
-    lens = draw_device(3).lens
-    slope_x, slope_y = lens.pixel_slopes()
-    distance = float(lens.distance_mm(1.0))
-    x, y = lens.project(slope_x * distance, slope_y * distance, np.ones_like(slope_x))
-    rows, columns = np.mgrid[0:260, 0:346]
-    inside = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) < 170
-    np.testing.assert_allclose(x[inside], columns[inside], atol=0.05)
-    np.testing.assert_allclose(y[inside], rows[inside], atol=0.05)
-
-
 @pytest.fixture(scope='module')
 def motion():
     device = draw_device(5)

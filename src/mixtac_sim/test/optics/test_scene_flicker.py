@@ -12,7 +12,7 @@ from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.world.device import draw_flicker
-from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.effects import EASY
 from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
 
@@ -126,12 +126,3 @@ def test_frames_pulse_with_the_ripple_of_their_exposures():
     assert np.ptp(lit) > 0.3
     dark = 1.06  # DN of dark signal in 2 ms
     np.testing.assert_allclose((means - dark) / lit, np.mean((means - dark) / lit), rtol=0.02)
-
-
-def test_lamps_of_the_presets():
-    assert draw_flicker(1, EASY.light).steady
-    assert draw_flicker(1, EASY.light).mean(0.0, 7.0) == 1.0
-    assert draw_flicker(1, EASY.light).log_light(3.0) == 0.0
-    lamp = draw_flicker(1, preset('paper_like').light)
-    assert 0.002 <= lamp.depth <= 0.01
-    assert lamp.hz == 100.0

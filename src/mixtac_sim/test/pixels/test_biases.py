@@ -15,7 +15,7 @@ from mixtac_sim.pixels.biases import (
     ON,
     PHOTORECEPTOR,
     REFRACTORY,
-    PixelBiases,
+    PixelConstants,
     PixelSettings,
     current_a,
 )
@@ -33,7 +33,7 @@ def test_currents_are_fractions_of_the_coarse_step():
 
 def test_known_settings_give_the_known_constants():
     # Diff 4,39; On 6,200; Pr 2,58; SF 1,33; Refr 4,25: 0.41 log-e, 590 Hz, 3.4 us.
-    found = PixelBiases.from_registers(
+    found = PixelConstants.from_registers(
         {
             DIFF: register(4, 39),
             ON: register(6, 200),
@@ -61,7 +61,7 @@ def test_defaults_leave_a_chip_as_it_is():
 
 def test_thresholds_go_with_the_logarithm_of_the_current():
     settings = [
-        PixelBiases.from_registers({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
+        PixelConstants.from_registers({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
     ]
     on = [s.threshold_on for s in settings]
     assert np.diff(on) == pytest.approx(np.log(8.0) / 14.0, rel=0.02)
@@ -77,7 +77,7 @@ def test_follower_and_refractory_follow_their_currents():
 
 
 def test_follower_stops_at_half_the_photoreceptor():
-    limit = PixelBiases.from_registers({FOLLOWER: register(4, 200)}).source_follower_hz
+    limit = PixelConstants.from_registers({FOLLOWER: register(4, 200)}).source_follower_hz
     expected = 0.5 * current_a(DEFAULT_REGISTERS[PHOTORECEPTOR]) / (2 * np.pi * 25e-3 * 131e-15)
     assert limit == pytest.approx(expected)
 

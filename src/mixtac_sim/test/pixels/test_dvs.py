@@ -90,28 +90,6 @@ def test_fall_is_counted_in_off_thresholds():
     assert len(on) / PIXELS == pytest.approx((3.05 - 0.1) / 0.3 - 0.5, abs=0.6)
 
 
-@pytest.mark.parametrize('lux', [5.0, 50.0])
-def test_static_rate_is_leak_and_shot(lux):
-    settings = PixelSettings(leak_hz=0.3, leak_hz_per_lux=0.01, shot_hz=2.0, shot_lux=4.0)
-    spread = even_spread()
-    floor = np.full(PADDED, lux, np.float32)
-    scene = Scene(floor, np.zeros(PADDED, np.float32))
-    dvs = Dvs(scene, spread, settings, np.random.default_rng(3))
-    noise = NoiseSource(floor[:PIXELS], settings, spread, 0.0, 5)
-    cover, dirty = np.zeros(PADDED, np.int32), np.zeros(TILES, np.uint8)
-    leak, shot = [], []
-    for block in range(250):
-        begin = block * 4_000_000
-        dvs.step(cover, dirty, begin, begin + 4_000_000, begin)
-        leak.append(dvs.take())
-        shot.append(noise.block(block, 4_000_000, []))
-    leak, shot = np.concatenate(leak), np.concatenate(shot)
-    assert len(leak) / PIXELS == pytest.approx(0.3 + 0.01 * lux, rel=0.05)
-    assert np.all(leak & 1)
-    assert len(shot) / PIXELS == pytest.approx(2.0 / (1.0 + lux / 4.0), rel=0.05)
-    assert np.mean(shot & 1) == pytest.approx(0.5, abs=0.02)
-
-
 @pytest.mark.parametrize(('lux', 'corner'), [(10.0, 25.0), (100.0, 250.0), (4e4, 500.0)])
 def test_bandwidth_grows_with_the_light_up_to_the_source_follower(lux, corner):
     follower = 500.0 if lux > 1e3 else 1e6

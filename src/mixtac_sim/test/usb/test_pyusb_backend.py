@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import array
 import errno
-import os
 import socket
 import stat
 import struct
@@ -204,14 +203,6 @@ def test_sockets_of_other_programs_are_left_alone(path, kind):
         assert Path(path).stat().st_ino == inode
 
 
-@pytest.mark.parametrize('make', [Path.touch, Path.mkdir])
-def test_files_are_left_alone(path, make):
-    make(Path(path))
-    with pytest.raises(VirtualUsbError):
-        UsbServer(VirtualDavis346('V0000042'), path)
-    assert Path(path).exists()
-
-
 def test_without_a_server_one_clear_line(path):
     with pytest.raises(NoVirtualSensorError) as failure:
         open_backend('virtual')
@@ -220,20 +211,3 @@ def test_without_a_server_one_clear_line(path):
     assert 'virtual_sensor_node' in message
     assert '\n' not in message
     assert isinstance(failure.value, MixtacError)
-
-
-def test_socket_path_names_user_and_domain(path):
-    assert Path(path).name == f'mixtac-virtual-{os.getuid()}-17.sock'
-
-
-def test_garbage_on_the_socket_ends_only_that_connection(server):
-    with socket.socket(socket.AF_UNIX) as rude:
-        rude.connect(server.path)
-        rude.sendall(b'\xff' * 64)
-        rude.settimeout(5.0)
-        try:
-            answer = rude.recv(64)
-        except ConnectionResetError:
-            answer = b''
-        assert answer == b''
-    assert find(open_backend('virtual')).serial_number == 'V0000042'

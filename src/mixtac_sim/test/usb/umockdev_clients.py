@@ -4,7 +4,7 @@
 
 Run by an interpreter that has the driver::
 
-    python umockdev_clients.py ours|libcaer|neuromorphic|dv OUT.npz READY DONE
+    python umockdev_clients.py ours|libcaer|dv OUT.npz READY DONE
 
 It touches READY when the camera streams and ends when DONE exists and nothing more arrives.
 Edges are saved under the codes of the wire; a reset of the camera's clock, where the driver reports
@@ -141,32 +141,6 @@ def libcaer(seen):
     camera.close()
 
 
-def neuromorphic(seen):
-    """Acceleration in m/s^2, turn rate in rad/s."""
-    import neuromorphic_drivers as nd
-
-    with nd.open(iterator_timeout=0.1) as device:
-        for _, packet in device:
-            seen.ready.touch()
-            if packet is not None:
-                if packet.polarity_events is not None:
-                    e = packet.polarity_events
-                    seen.add_events(e['t'], e['x'], e['y'], e['on'])
-                if packet.imu_events is not None:
-                    for row in packet.imu_events:
-                        t, *values = (float(value) for value in row)
-                        seen.add_imu(t, values[:3], values[3:6], values[6])
-                for frame in packet.frames:
-                    times = (frame.start_t, frame.exposure_start_t, frame.exposure_end_t, frame.t)
-                    seen.add_frame(frame.pixels, [-1 if t is None else t for t in times])
-                if packet.trigger_events is not None:
-                    for row in packet.trigger_events:
-                        kind = (FALLING, RISING, PULSE)[int(row['polarity'])]
-                        seen.add_edge(int(row['t']), kind)
-            if seen.finished():
-                return
-
-
 def dv(seen):
     """Times count from the host's epoch; acceleration in g, turn rate in deg/s.
 
@@ -215,7 +189,7 @@ def dv(seen):
 def main():
     client, out, ready, done = sys.argv[1:]
     seen = Seen(Path(ready), Path(done))
-    {'ours': ours, 'libcaer': libcaer, 'neuromorphic': neuromorphic, 'dv': dv}[client](seen)
+    {'ours': ours, 'libcaer': libcaer, 'dv': dv}[client](seen)
     seen.save(out)
 
 

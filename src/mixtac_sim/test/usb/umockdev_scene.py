@@ -100,25 +100,19 @@ class HardWords:
 
     Attributes:
         base: Time of the last wrap [us].
-        late: How much later the specified clock is than one that counts every wrap word as one
-            wrap [us].
         words: The words.
         events: (time, x, y, polarity) [us].
-        lateness: `late` at each event [us].
         marks: Frames and times [us] by name.
     """
 
     base: int
-    late: int = 0
     words: list = field(default_factory=list)
     events: list = field(default_factory=list)
-    lateness: list = field(default_factory=list)
     marks: dict = field(default_factory=dict)
 
     def wrap(self, count=1):
         self.words.append(0x7000 | count)
         self.base += count * WRAP_US
-        self.late += (count - 1) * WRAP_US
 
     def at(self, offset, *words):
         """Stamp and write words; return the time."""
@@ -128,7 +122,6 @@ class HardWords:
     def event(self, offset, x, y, polarity):
         t = self.at(offset, 0x1000 | x, (0x3000 if polarity else 0x2000) | y)
         self.events.append((t, x, y, polarity))
-        self.lateness.append(self.late)
 
     def reset(self):
         self.words.append(0x0001)
@@ -204,7 +197,7 @@ def make_hard_words(base):
     hard.event(10, 1, 2, 1)
     marks['region'] = hard.frame(1000, *samples(rng), region=REGION)
     marks['rolling'] = hard.rolling_frame(8000, *samples(rng))
-    marks['incomplete'] = hard.frame(15_000, *samples(rng), signal_columns=SIGNAL_COLUMNS)
+    hard.frame(15_000, *samples(rng), signal_columns=SIGNAL_COLUMNS)
     hard.event(30_000, 3, 4, 0)
     hard.wrap(3)
     hard.event(5, 5, 6, 1)
@@ -214,13 +207,12 @@ def make_hard_words(base):
     hard.header(25_000)
     for row in cut_reset[:100]:
         hard.column(row, signal=False)
-    marks['last_before_reset'] = hard.imu(26_000, IMU_RAW, until=7)
+    hard.imu(26_000, IMU_RAW, until=7)
     hard.reset()
     # The rest of what the reset cut: none of it may appear.
     hard.words += [*(0x5000 | byte for byte in IMU_REST), 7]
     for row in cut_reset[100:CUT_COLUMNS]:
         hard.column(row, signal=False)
-    marks['cut'] = cut_reset
     hard.event(50, 7, 8, 0)
     hard.at(60, 10)
     marks['imu'] = hard.imu(1000, IMU_RAW)

@@ -26,7 +26,6 @@ from mixtac_sim.usb.server import UsbServer
 HERE = Path(__file__).parent
 DEBIAN_PYTHON = '/usr/bin/python3'
 MODULES = {
-    'neuromorphic': 'neuromorphic_drivers',
     'dv': 'dv_processing',
     'libcaer': 'event_camera_drivers',
 }

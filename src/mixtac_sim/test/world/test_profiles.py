@@ -69,10 +69,7 @@ def test_commands_do_not_depend_on_how_they_are_asked_for():
 
 @pytest.mark.parametrize(
     ('name', 'axes'),
-    [
-        *(('shear', (0, 1)), ('slide', (0, 1)), ('torsion', (2,)), ('roll', (3, 4))),
-        ('pull_and_roll', (0, 1, 3, 4)),
-    ],
+    [('shear', (0, 1)), ('slide', (0, 1)), ('torsion', (2,)), ('roll', (3, 4))],
 )
 def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(name, axes):
     profile = make_profile(name, 4, 12.0, sync=True)

@@ -14,6 +14,7 @@ from mixtac_sim.world.segments import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 
 QUIET = {'shot_hz': 0.0, 'leak_hz': 0.0, 'leak_hz_per_lux': 0.0}
+NO_FRAMES = ApsSettings(first_us=10**9)
 EVEN = EASY.without('pixels', 'light', 'timing')
 
 
@@ -23,7 +24,7 @@ def shake(frequency, settings, preset=EVEN, seconds=0.8):
     tone = Tone(0.1, frequency, 0.0, 0.05)
     hold = Segment(0.2, seconds, Mode.POSITION, (0.0,), (0.5,), (tone,))
     profile = Profile('vibration', seconds, (press, hold))
-    body = TactileSensor(1, 2, profile, ApsSettings(enabled=False), settings, preset=preset)
+    body = TactileSensor(1, 2, profile, NO_FRAMES, settings, preset=preset)
     return body.advance(round(1e6 * seconds)).events.between(300_000, 800_000)
 
 
@@ -77,7 +78,7 @@ def test_named_profile_vibrates_between_50_and_250_hz():
 
 def test_force_follows_the_vibration():
     profile = make_profile('vibration', 3, 3.0)
-    body = TactileSensor(1, 2, profile, ApsSettings(enabled=False))
+    body = TactileSensor(1, 2, profile, NO_FRAMES)
     truth = body.advance(2_000_000)
     tone = max((s for s in profile.segments if s.tones), key=lambda s: s.end_s).tones[0]
     wave = truth.wrench[8_000:16_000, 2]

@@ -31,12 +31,6 @@ def test_stretches_are_the_trial_as_a_whole():
     assert whole.events.y.max() <= 259
 
 
-def test_inertial_samples_come_every_millisecond():
-    spec = TrialSpec('a', 'idle', 2.6, 5, 6, 'easy', 'train')
-    times = [r.t_us for each in TrialStream(spec).stretches() for r in each.readings]
-    assert times == list(range(0, 2_600_000, 1000))
-
-
 def test_trials_of_a_session_share_the_day_and_nothing_else():
     level = preset('paper_like')
     trials = [simulate_trial(5, k, 'idle', 0.5, preset=level, session=9) for k in (1, 2)]

@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_slip_control.errors import ArmError, RobotDescriptionError
+from mixtac_slip_control.errors import ArmError
 
 Floats = NDArray[np.float64]
 
@@ -65,30 +65,22 @@ def read_chain(text: str) -> tuple[UrdfJoint, ...]:
         text: The URDF.
 
     Raises:
-        RobotDescriptionError: No URDF, a branching chain, a joint or child that occurs twice, or a
-            joint that follows another one or is of a kind that a serial arm has no use for.
+        ArmError: No URDF, a branching chain, or a joint that follows another one or is of a kind
+            that a serial arm has no use for.
     """
     if '<!DOCTYPE' in text:
-        raise RobotDescriptionError(
-            'the URDF declares a document type: expand xacro first and give plain XML'
-        )
+        raise ArmError('the URDF declares a document type: expand xacro first and give plain XML')
     try:
         root = ET.fromstring(text)  # noqa: S314  (no entities without a document type)
     except (ET.ParseError, ValueError) as error:
-        raise RobotDescriptionError(f'the URDF is no well-formed XML: {error}') from error
+        raise ArmError(f'the URDF is no well-formed XML: {error}') from error
     if root.tag != 'robot':
-        raise RobotDescriptionError(f'the URDF starts with <{root.tag}>: give one with <robot>')
+        raise ArmError(f'the URDF starts with <{root.tag}>: give one with <robot>')
     joints = [_joint(element) for element in root.findall('joint')]
-    for what, named in (('joint', [j.name for j in joints]), ('child', [j.child for j in joints])):
-        if twice := sorted({name for name in named if named.count(name) > 1}):
-            raise RobotDescriptionError(
-                f'{what} {twice[0]!r} is in the URDF twice: give each joint a name and a child of '
-                'its own'
-            )
     by_child = {joint.child: joint for joint in joints}
     leaves = by_child.keys() - {joint.parent for joint in joints}
     if len(leaves) != 1:
-        raise RobotDescriptionError(
+        raise ArmError(
             f'the URDF ends in the links {sorted(leaves)}: give one with a single chain of joints'
         )
     (link,) = leaves
@@ -99,7 +91,7 @@ def read_chain(text: str) -> tuple[UrdfJoint, ...]:
     chain.reverse()
     for joint in chain:
         if joint.kind not in (*MOVING, 'fixed'):
-            raise RobotDescriptionError(
+            raise ArmError(
                 f'joint {joint.name!r} is {joint.kind!r}: a serial arm may hold {MOVING} and fixed'
             )
     return tuple(chain)
@@ -110,9 +102,9 @@ def _joint(element: ET.Element) -> UrdfJoint:
     kind = element.get('type', '')
     parent, child = element.find('parent'), element.find('child')
     if parent is None or child is None:
-        raise RobotDescriptionError(f'joint {name!r} lacks its parent or child link')
+        raise ArmError(f'joint {name!r} lacks its parent or child link')
     if element.find('mimic') is not None:
-        raise RobotDescriptionError(
+        raise ArmError(
             f'joint {name!r} follows another one (<mimic>), which a serial arm cannot: give a '
             'chain of joints that move by themselves'
         )
@@ -120,7 +112,7 @@ def _joint(element: ET.Element) -> UrdfJoint:
     x, y, z = _vector(element.find('axis'), 'xyz', (1.0, 0.0, 0.0), name)
     length = math.hypot(x, y, z)
     if length < 1e-9:
-        raise RobotDescriptionError(f'joint {name!r} has an axis of length zero')
+        raise ArmError(f'joint {name!r} has an axis of length zero')
     bound = 0.0 if limit is not None and kind in ('revolute', 'prismatic') else math.inf
     return UrdfJoint(
         name=name,
@@ -145,7 +137,7 @@ def _number(element: ET.Element | None, key: str, default: float, joint: str) ->
 def _vector(element: ET.Element | None, key: str, default: Vector, joint: str) -> Vector:
     x, y, z = _numbers(element, key, default, joint)
     if not math.isfinite(x + y + z):
-        raise RobotDescriptionError(f'joint {joint!r}: {key} is not three finite numbers')
+        raise ArmError(f'joint {joint!r}: {key} is not three finite numbers')
     return x, y, z
 
 
@@ -160,9 +152,7 @@ def _numbers(
     except ValueError:
         values = ()
     if len(values) != len(default) or any(map(math.isnan, values)):
-        raise RobotDescriptionError(
-            f'joint {joint!r}: {key}="{text}" is not {len(default)} numbers'
-        )
+        raise ArmError(f'joint {joint!r}: {key}="{text}" is not {len(default)} numbers')
     return values
 
 
@@ -173,10 +163,6 @@ def rotations(axes: Floats, angles: Floats) -> Floats:
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     sine, versine = np.sin(angles)[:, None, None], (1.0 - np.cos(angles))[:, None, None]
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
-
-
-FR3_READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
-"""Ready pose of the FR3 [rad], from libfranka's examples."""
 
 
 class SerialArm:
@@ -194,13 +180,13 @@ class SerialArm:
         joints: Chain with fixed joints, as `read_chain` returns it.
 
     Raises:
-        RobotDescriptionError: No joint moves.
+        ArmError: No joint moves.
     """
 
     def __init__(self, joints: tuple[UrdfJoint, ...]) -> None:
         self.joints = tuple(joint for joint in joints if joint.kind in MOVING)
         if not self.joints:
-            raise RobotDescriptionError('no joint of the chain moves: name other links')
+            raise ArmError('no joint of the chain moves: name other links')
         self.names = tuple(joint.name for joint in self.joints)
         self.dof = len(self.joints)
         self._axes = np.array([joint.axis for joint in self.joints])
@@ -224,7 +210,7 @@ class SerialArm:
             text: The URDF, for example from `/robot_description`.
 
         Raises:
-            RobotDescriptionError: See `read_chain`.
+            ArmError: See `read_chain`.
         """
         return cls(read_chain(text))
 

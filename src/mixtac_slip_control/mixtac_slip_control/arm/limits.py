@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,14 +47,12 @@ class JointLimits:
     tip: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
     def __post_init__(self) -> None:
-        """Refuse limits that allow nothing or belong to different arms.
+        """Refuse limits that allow nothing.
 
         Raises:
-            ArmError: Lengths differ, a range is empty or a limit is not positive.
+            ArmError: A range is empty or a limit is not positive.
         """
         rates = (self.velocity, self.acceleration, self.jerk)
-        if any(values.shape != self.lower.shape for values in (self.upper, *rates)):
-            raise ArmError('joint limits of different lengths: give one value for each joint')
         if not (self.lower < self.upper).all() or not all((rate > 0.0).all() for rate in rates):
             raise ArmError('a joint has no range, or a limit that is not > 0: give lower < upper')
 
@@ -73,31 +71,17 @@ class JointLimits:
                 [-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196],
             ]
         )
-        return cls.from_arm(
-            SerialArm.fr3(),
-            acceleration=10.0,
-            jerk=5000.0,
-            envelope=envelope,
-            tip=(3.0, 9.0, 4500.0),
-        )
+        limits = cls.from_arm(SerialArm.fr3(), acceleration=10.0, jerk=5000.0)
+        return replace(limits, envelope=envelope, tip=(3.0, 9.0, 4500.0))
 
     @classmethod
-    def from_arm(
-        cls,
-        arm: SerialArm,
-        acceleration: float,
-        jerk: float,
-        envelope: Floats | None = None,
-        tip: tuple[float, float, float] = (math.inf, math.inf, math.inf),
-    ) -> JointLimits:
+    def from_arm(cls, arm: SerialArm, acceleration: float, jerk: float) -> JointLimits:
         """Return the limits in an arm's URDF, with the rates that a URDF does not hold.
 
         Args:
             arm: Arm read from a URDF.
             acceleration: Of every joint [rad/s2].
             jerk: Of every joint [rad/s3].
-            envelope: Velocity limits that depend on the position.
-            tip: Speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
 
         Raises:
             ArmError: A limit is missing in the URDF or makes no sense.
@@ -108,15 +92,12 @@ class JointLimits:
                 f'the URDF gives no velocity limit for a joint of {", ".join(arm.names)}: add '
                 '<limit velocity="..."/>'
             )
-        same = np.ones(arm.dof)
         return cls(
             lower=np.array([joint.lower for joint in arm.joints]),
             upper=np.array([joint.upper for joint in arm.joints]),
             velocity=velocity,
-            acceleration=acceleration * same,
-            jerk=jerk * same,
-            envelope=envelope,
-            tip=tip,
+            acceleration=np.full(arm.dof, acceleration),
+            jerk=np.full(arm.dof, jerk),
         )
 
     def velocity_bounds(self, q: Floats) -> tuple[Floats, Floats]:
@@ -150,6 +131,10 @@ JOINT_MARGIN = 0.02
 """Distance to the ends of the joints' ranges that positions and paths keep [rad]."""
 RADIAN_M = 0.3
 """What one radian of the tip's orientation counts as in the distance to singularities [m]."""
+MIN_SINGULAR = 0.05
+"""Smallest singular value of the Jacobian allowed, with angles scaled by `RADIAN_M`: below it small
+motions of the tip need large motions of the joints. The FR3 has 0.18 in its ready pose and 0.04
+with the elbow stretched."""
 SAME_PLACE_RAD = 1e-4
 """Joint positions nearer than this to good ones are good: small beside every margin here, and an
 arm that rests reports its positions hundreds of times a second."""
@@ -163,24 +148,16 @@ class StateChecks:
         limits: Limits of its joints.
         workspace: Limits of the tip along x, y and z of the base frame, lower and upper in turn
             (6,) [m]; None: anywhere.
-        min_singular: Smallest singular value of the Jacobian allowed, with angles scaled by
-            `RADIAN_M`: below it small motions of the tip need large motions of the joints. The FR3
-            has 0.18 in its ready pose and 0.04 with the elbow stretched.
     """
 
     def __init__(
-        self,
-        arm: SerialArm,
-        limits: JointLimits,
-        workspace: Sequence[float] | None = None,
-        min_singular: float = 0.05,
+        self, arm: SerialArm, limits: JointLimits, workspace: Sequence[float] | None = None
     ) -> None:
         self._arm = arm
         self._limits = limits
         self._workspace = None if workspace is None else np.reshape(workspace, (3, 2))
         if self._workspace is not None and not (np.diff(self._workspace) > 0.0).all():
             raise ArmError(f'workspace {list(workspace or ())} m: give lower < upper on each axis')
-        self._min_singular = min_singular
         self._good: Floats | None = None
 
     def check(self, q: Floats | Sequence[float]) -> str | None:
@@ -204,9 +181,9 @@ class StateChecks:
         jacobian = self._arm.jacobian(q)
         jacobian[3:] *= RADIAN_M
         value = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
-        if value >= self._min_singular:
+        if value >= MIN_SINGULAR:
             return None
         return (
             f'the arm is near a singularity: smallest singular value {value:.4f}, at least '
-            f'{self._min_singular:g} wanted; choose another posture'
+            f'{MIN_SINGULAR:g} wanted; choose another posture'
         )

@@ -61,8 +61,7 @@ class ArmParts:
             sag: Largest difference of a joint from its command [rad].
             share: Share of the limits that may be used.
         """
-        limits = self.limits
-        rates = (limits.velocity, limits.acceleration, limits.jerk)
+        rates = (self.limits.velocity, self.limits.acceleration, self.limits.jerk)
         return settling_time(sag, *(share * float(rate.min()) for rate in rates))
 
 
@@ -166,11 +165,11 @@ class TrajectoryBackend(ArmBackend):
         """
         q = self.ordered(names, positions)
         if q is not None:
-            self._state = ArmState(stamp_s, q, np.zeros_like(q))
+            self._state = ArmState(stamp_s, q)
         return q is not None
 
     def state(self) -> ArmState | None:
-        """Return the latest state, without velocities, or None before the first."""
+        """Return the latest state, or None before the first."""
         return self._state
 
     def send(self, trajectory: PlannedTrajectory) -> None:

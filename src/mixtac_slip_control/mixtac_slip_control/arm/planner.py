@@ -337,8 +337,8 @@ class AdvancePlanner:
     def _solved(self, start: Knot, target: float | None) -> list[Knot] | None:
         """Return the fastest motion to rest at a target, or to rest anywhere; None if not found."""
         given = self._input
-        kinds = ControlInterface
-        given.control_interface = kinds.Velocity if target is None else kinds.Position
+        kind = ControlInterface.Velocity if target is None else ControlInterface.Position
+        given.control_interface = kind
         given.current_position = [start.s]
         given.current_velocity = [start.v]
         given.current_acceleration = [start.a]

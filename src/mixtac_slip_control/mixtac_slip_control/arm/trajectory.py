@@ -64,14 +64,12 @@ class ArmState:
     Attributes:
         stamp_s: Time of the measurement [s], on the clock of trajectories.
         q: Measured joint positions (n,) [rad].
-        dq: Measured joint velocities (n,) [rad/s].
         commanded: Commanded joint positions (n,) [rad]; None where the backend does not report
             them.
     """
 
     stamp_s: float
     q: Floats
-    dq: Floats
     commanded: Floats | None = None
 
 

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
@@ -17,9 +15,6 @@ from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.errors import ArmError
 from mixtac_slip_control.parameters import SlipControlParameters
 
-if TYPE_CHECKING:
-    from mixtac_sim.arm import Release
-
 SIDEWAYS = np.array([0.0, 1.0, 0.0])
 START_S = 100.0
 
@@ -28,14 +23,13 @@ class Chain:
     """Planner, controller and arm in steps of a millisecond; plans arrive late by `transport_s`."""
 
     def __init__(
-        self, release: Release = 'jazzy', *, transport_s: float = 2e-3, lag_s: float = 3.5e-3,
-        **changes: float,
-    ) -> None:  # fmt: skip
+        self, *, transport_s: float = 2e-3, lag_s: float = 3.5e-3, **changes: float
+    ) -> None:
         p = SlipControlParameters(**changes)
         self.planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), p.lead)
         self.planner.reset(READY, SIDEWAYS, 1e-3)
         self.watch = FollowingWatch(p, self.planner)
-        self.controller = JointTrajectoryController(release=release)
+        self.controller = JointTrajectoryController()
         self.controller.reset(READY, START_S)
         self.arm = LaggingArm(READY, SIDEWAYS, lag_s)
         self.transport_s, self.cycle = transport_s, 0
@@ -72,12 +66,9 @@ class Chain:
         return self.watch.lost
 
 
-@pytest.mark.parametrize('release', ['jazzy', 'humble'])
 @pytest.mark.parametrize('lag_s', [0.0, 4e-3])
-def test_an_arm_that_follows_with_its_lag_and_sag_is_where_it_should_be(
-    release: Release, lag_s: float
-) -> None:
-    chain = Chain(release, lag_s=lag_s)
+def test_an_arm_that_follows_with_its_lag_and_sag_is_where_it_should_be(lag_s: float) -> None:
+    chain = Chain(lag_s=lag_s)
     chain.watch.start(START_S + 0.01, chain.measured, None)
     assert chain.knock() == ''
     assert chain.planner.target == pytest.approx(9e-4)
@@ -110,9 +101,8 @@ def test_an_arm_far_from_its_command_is_not_started() -> None:
         chain.watch.start(START_S, READY + 0.1, READY)
 
 
-@pytest.mark.parametrize('release', ['jazzy', 'humble'])
-def test_a_plan_that_comes_later_than_its_lead_is_found(release: Release) -> None:
-    chain = Chain(release, transport_s=9e-3)
+def test_a_plan_that_comes_later_than_its_lead_is_found() -> None:
+    chain = Chain(transport_s=9e-3)
     chain.watch.start(START_S, chain.measured, READY)
     assert 'lead' in chain.knock()
 
