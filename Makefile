@@ -16,7 +16,7 @@ test: dev  ## set up and run all tests
 clients: dev  ## show the virtual camera to drivers of other people; needs umockdev of the system
 	$(PYTHON) -m venv .venv-clients
 	.venv-clients/bin/pip install --quiet -c constraints.txt numpy \
-		event-camera-drivers neuromorphic-drivers dv-processing
+		event-camera-drivers dv-processing
 	. tools/env.sh && MIXTAC_CLIENT_PYTHON=$(CURDIR)/.venv-clients/bin/python \
 		python -m pytest -m clients src/mixtac_sim/test/usb $(ARGS)
 

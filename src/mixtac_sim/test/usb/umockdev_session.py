@@ -32,7 +32,6 @@ MODULES = {
 CLIENTS = [
     'ours',
     'libcaer',
-    pytest.param('neuromorphic', marks=pytest.mark.clients),
     pytest.param('dv', marks=pytest.mark.clients),
 ]
 LEAD_US = 100_000
