@@ -211,11 +211,11 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     if spec.minimum is None or spec.maximum is None:
         return descriptor
     if type(spec.default) is int:
-        ends = {'from_value': int(spec.minimum), 'to_value': int(spec.maximum)}
-        descriptor.integer_range = [IntegerRange(**ends, step=1)]
+        whole = IntegerRange(from_value=int(spec.minimum), to_value=int(spec.maximum), step=1)
+        descriptor.integer_range = [whole]
     if type(spec.default) is float:
-        ends = {'from_value': float(spec.minimum), 'to_value': float(spec.maximum)}
-        descriptor.floating_point_range = [FloatingPointRange(**ends)]
+        low, high = float(spec.minimum), float(spec.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
 
 
