@@ -31,10 +31,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from setup_steps import ROOT, project_file
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-ROOT = Path(__file__).resolve().parent.parent
 FLOORS = {
     'mixtac_msgs': 0,
     'event_camera_msgs': 0,
@@ -219,14 +220,7 @@ def check(root: Path, modules: list[Module]) -> list[str]:
         for circle in {find_circle(graph), find_circle(folders_of(graph, package))} - {''}:
             wrong.append(f'{package}: imports form a circle: {circle}')
         wrong += check_manifest(root, package, inside)
-    return wrong + check_ceilings(modules, ceilings())
-
-
-def ceilings() -> dict[str, int]:
-    """Return the most code lines of each package, from pyproject.toml."""
-    text = (ROOT / 'pyproject.toml').read_text()
-    table = text.partition('[tool.mixtac.ceilings]')[2].partition('\n[')[0]
-    return {name: int(count) for name, count in re.findall(r'^(\w+) = (\d+)', table, re.MULTILINE)}
+    return wrong + check_ceilings(modules, project_file()['tool']['mixtac']['ceilings'])
 
 
 def check_ceilings(modules: list[Module], most: Mapping[str, int]) -> list[str]:

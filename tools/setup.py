@@ -15,7 +15,6 @@ import argparse
 import ast
 import contextlib
 import fcntl
-import importlib
 import os
 import platform
 import re
@@ -25,10 +24,9 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from setup_checks import check_place, check_python, check_system, full_ros
-from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
+from setup_steps import ROOT, SetupError, Steps, call, fingerprint, project_file, say
 
 BEGUN = 'installing'
 """Step in the record that stands there while packages are being installed."""
@@ -100,21 +98,11 @@ def requirements(extras: list[str], *, robot: bool) -> list[str]:
         extras: Optional parts besides the base.
         robot: Leave out what only the command line and the simulator need.
     """
-    project = read_toml(ROOT / 'pyproject.toml')['project']
+    project = project_file()['project']
     base = project['dependencies']
     if robot:
         base = [each for each in base if not each.startswith(NOT_ON_ROBOTS)]
     return [*base, *(line for each in extras for line in project['optional-dependencies'][each])]
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file; before Python 3.11 by the parser that pip brings."""
-    try:
-        tomllib = importlib.import_module('tomllib')
-    except ImportError:
-        tomllib = importlib.import_module('pip._vendor.tomli')
-    content: dict[str, Any] = tomllib.loads(path.read_text())
-    return content
 
 
 def pip_install(venv: Path) -> list[str]:

@@ -5,12 +5,24 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def project_file() -> dict[str, Any]:
+    """Return the content of pyproject.toml; before Python 3.11 by the parser that pip brings."""
+    try:
+        tomllib = importlib.import_module('tomllib')
+    except ImportError:
+        tomllib = importlib.import_module('pip._vendor.tomli')
+    content: dict[str, Any] = tomllib.loads((ROOT / 'pyproject.toml').read_text())
+    return content
 
 
 class SetupError(Exception):

@@ -15,8 +15,8 @@ from typing import Any
 import yaml
 
 from mixtac.parameters import RecorderParameters, SupervisorParameters, ViewParameters
-from mixtac_core.node.graph import rosbag2_qos
 from mixtac_core.node.parameters import ParameterSpec, specs, yaml_scalar
+from mixtac_core.node.topics import DEFAULT_NAMESPACE, TOPICS
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.alignment.parameters import AlignmentParameters, ForceErrorParameters
 from mixtac_fger.parameters import FgerParameters
@@ -93,11 +93,20 @@ def reference() -> str:
 
 
 def rosbag2() -> str:
-    """Return the QoS overrides for `ros2 bag record`."""
+    """Return the QoS overrides with which `ros2 bag record` loses no messages."""
     text = (
         '# For ros2 bag record --qos-profile-overrides-path: its queues of 10 lose event packets.'
     )
-    return f'{HEADER}{text}\n{yaml.safe_dump(rosbag2_qos(), sort_keys=False)}'
+    overrides = {
+        topic.resolved(DEFAULT_NAMESPACE): {
+            'history': 'keep_last',
+            'depth': 1 if topic.latched else max(1000, 5 * topic.depth),
+            'reliability': 'reliable' if topic.reliable else 'best_effort',
+            'durability': 'transient_local' if topic.latched else 'volatile',
+        }
+        for topic in TOPICS
+    }
+    return f'{HEADER}{text}\n{yaml.safe_dump(overrides, sort_keys=False)}'
 
 
 def pages() -> dict[Path, str]:

@@ -27,7 +27,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -56,13 +56,11 @@ def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
             subscription matches it (REP 2003); otherwise the profile of our subscriptions.
     """
     reliable = offered or topic.reliable
+    latched = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
-        ),
+        durability=latched,
     )
 
 
@@ -210,16 +208,14 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(name=spec.name, description=text, dynamic_typing=True)
     if spec.choices:
         descriptor.additional_constraints = 'one of ' + ', '.join(map(str, spec.choices))
-    if spec.minimum is None or spec.maximum is None or isinstance(spec.default, (bool, str)):
+    if spec.minimum is None or spec.maximum is None:
         return descriptor
-    if isinstance(spec.default, int):
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(spec.minimum), to_value=int(spec.maximum), step=1)
-        ]
-    else:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(spec.minimum), to_value=float(spec.maximum))
-        ]
+    if type(spec.default) is int:
+        whole = IntegerRange(from_value=int(spec.minimum), to_value=int(spec.maximum), step=1)
+        descriptor.integer_range = [whole]
+    if type(spec.default) is float:
+        low, high = float(spec.minimum), float(spec.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor
 
 
@@ -235,14 +231,10 @@ def starting() -> Iterator[None]:
         yield
     except rclpy_implementation.RCLError as error:
         cause = ' '.join(str(error).split())
-        if os.environ.get('ROS_SECURITY_ENABLE') != 'true':
-            raise GraphError(
-                f'ROS 2 cannot start: {cause}', remedy='correct what this names'
-            ) from error
-        raise GraphError(
-            f'ROS_SECURITY_ENABLE is set, but ROS 2 cannot start securely: {cause}',
-            remedy='read docs/security.md; the wheels have no security, an installed ROS 2 has',
-        ) from error
+        remedy = 'correct what this names'
+        if os.environ.get('ROS_SECURITY_ENABLE') == 'true':
+            remedy = 'unset ROS_SECURITY_ENABLE, or read docs/security.md: wheels have no security'
+        raise GraphError(f'ROS 2 cannot start: {cause}', remedy=remedy) from error
 
 
 class Signals:

@@ -74,8 +74,10 @@ class RecentValues:
         return float(np.quantile(self._ring[:held], q)) if held else float('nan')
 
 
-OK, WARN, ERROR, STALE = range(4)
-"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
+# Levels of `diagnostic_msgs/DiagnosticStatus`.
+OK = 0
+WARN = 1
+ERROR = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ class Status:
     """Status that a node reports.
 
     Attributes:
-        level: OK, WARN, ERROR or STALE.
+        level: OK, WARN or ERROR.
         message: One line for users.
         values: Values by name; floats are written with six significant digits.
     """
@@ -94,6 +96,7 @@ class Status:
 
 
 PERIOD_S = 1.0
+"""Time between two messages [s]."""
 
 
 class DiagnosticsPublisher:

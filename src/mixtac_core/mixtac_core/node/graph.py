@@ -16,7 +16,7 @@ from typing import Any
 from mixtac_core.node.parameters import yaml_scalar
 from mixtac_core.node.process import GraphError
 from mixtac_core.node.share import share
-from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic, absolute
+from mixtac_core.node.topics import Topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,31 +207,6 @@ def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] =
     if reference_topic:
         overrides['reference_topic'] = reference_topic
     return node('mixtac.record', 'recorder', overrides=overrides)
-
-
-ROSBAG2_DEPTH = 1000
-"""Least queue depth of `ros2 bag record` for the sensor's topics; its default is 10."""
-
-
-def rosbag2_qos(
-    namespace: str = DEFAULT_NAMESPACE, reference_topic: str = REFERENCE
-) -> dict[str, dict[str, object]]:
-    """Return the QoS overrides with which `ros2 bag record` loses no messages, by topic.
-
-    Args:
-        namespace: ROS namespace of the sensor.
-        reference_topic: Topic of the reference force.
-    """
-    overrides: dict[str, dict[str, object]] = {}
-    for topic in TOPICS:
-        name = reference_topic if topic.name == REFERENCE else topic.name
-        overrides[absolute(name, namespace)] = {
-            'history': 'keep_last',
-            'depth': 1 if topic.latched else max(ROSBAG2_DEPTH, 5 * topic.depth),
-            'reliability': 'reliable' if topic.reliable else 'best_effort',
-            'durability': 'transient_local' if topic.latched else 'volatile',
-        }
-    return overrides
 
 
 def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:

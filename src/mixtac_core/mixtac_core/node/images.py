@@ -98,10 +98,10 @@ def picture(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     """
     kind = _layout(str(message.encoding))[2]
     found = _converted(pixels(message), kind, 'mono' if kind == 'mono' else 'rgb')
-    if found.dtype == np.uint8:
-        return found.view(np.uint8)
-    # The nearest of 256 levels; no value lies between two.
-    return ((found.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    if found.dtype == np.uint16:
+        # The nearest of 256 levels; no value lies between two.
+        found = (found.astype(np.uint32) + 128) // 257
+    return np.asarray(found, np.uint8)
 
 
 def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
@@ -166,7 +166,7 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
     kind = named if named in _MOSAICS else 'mono'
     if found.ndim == 3:
         kind = 'bgr' if found.shape[2] == 3 else 'bgra'
-    return _converted(found, kind, 'mono')
+    return np.asarray(_converted(found, kind, 'mono'))
 
 
 def _layout(encoding: str) -> tuple[np.dtype[Any], int, str]:

@@ -90,17 +90,17 @@ class ParameterSpec:
 def parameter(
     default: T,
     *,
-    description: str | None = None,
+    description: str = '',
     unit: str = '',
     within: tuple[float | None, float | None] = (None, None),
-    choices: tuple[T, ...] = (),
+    choices: tuple[Value, ...] = (),
     read_only: bool = False,
 ) -> T:
     """Describe a field of a parameter dataclass.
 
     Args:
         default: Default value (bool, int, float or str).
-        description: Effect, for the descriptor, the configuration file and the docs; by default as
+        description: Effect, for the descriptor, the configuration file and the docs; if empty, as
             the docstring of the class describes the attribute.
         unit: Unit of the value.
         within: Smallest and largest allowed number; None for no limit.
@@ -110,16 +110,11 @@ def parameter(
     Returns:
         A dataclass field, typed as its value so that the class type-checks.
     """
-    metadata = {
-        'unit': unit,
-        'minimum': within[0],
-        'maximum': within[1],
-        'choices': choices,
-        'read_only': read_only,
-    }
-    if description is not None:
-        metadata['description'] = description
-    return dataclasses.field(default=default, metadata={_KEY: metadata})
+    low, high = within
+    spec = ParameterSpec(
+        '', cast('Value', default), description, unit, low, high, choices, read_only
+    )
+    return dataclasses.field(default=default, metadata={_KEY: spec})
 
 
 def fixed(default: T, **options: Any) -> T:  # noqa: ANN401
@@ -135,8 +130,9 @@ def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
         described |= _attributes(base)
     found = []
     for field in dataclasses.fields(schema):
-        values = {'description': described.get(field.name, ''), **field.metadata[_KEY]}
-        found.append(ParameterSpec(field.name, cast('Value', field.default), **values))
+        spec: ParameterSpec = field.metadata[_KEY]
+        text = spec.description or described.get(field.name, '')
+        found.append(dataclasses.replace(spec, name=field.name, description=text))
     return tuple(found)
 
 

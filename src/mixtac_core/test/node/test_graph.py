@@ -16,12 +16,10 @@ from mixtac_core.node.graph import (
     config_file,
     live_view,
     recorder,
-    rosbag2_qos,
     sensor_graph,
     slip_control,
 )
 from mixtac_core.node.process import GraphError
-from mixtac_core.node.topics import TOPICS
 
 
 def names(nodes) -> list[str]:
@@ -151,20 +149,3 @@ def test_unset_options_leave_the_parameter_files_alone(tmp_path):
         'save': str(tmp_path / 'a.rrd'),
     }
     assert recorder(tmp_path).overrides == {'output': str(tmp_path)}
-
-
-def test_rosbag2_subscribes_compatibly_and_with_long_queues():
-    found = rosbag2_qos('left', '/left/ft')
-    assert len(found) == len(TOPICS)
-    assert found['/left/events']['depth'] >= 5000
-    assert found['/left/ft']['reliability'] == 'best_effort'
-    # As the nodes take it.
-    assert '/left/ft' in rosbag2_qos('left', 'ft')
-    assert found['/left/camera_clock']['durability'] == 'transient_local'
-    for topic in TOPICS:
-        if topic.name == '/ft_sensor/wrench':
-            continue
-        chosen = found[topic.resolved('left')]
-        # A subscriber may ask for no more than its publisher offers.
-        assert chosen['reliability'] == 'best_effort' or topic.reliable
-        assert chosen['durability'] == 'volatile' or topic.latched
