@@ -285,22 +285,13 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
     """Write a file, and its folder if necessary; readers never see a partial file.
 
     Args:
-        path: File to write; an existing calibration is replaced.
+        path: File to write; an existing file is replaced.
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
 
     Raises:
-        CalibrationError: Another file than a calibration is there.
         FileError: The file cannot be written.
     """
-    if path.exists():
-        try:
-            read_camera_info(path)
-        except CalibrationError as error:
-            raise CalibrationError(
-                f'{path} is not a calibration and stays as it is ({error.message})',
-                remedy='remove it, or name another file',
-            ) from error
     write_text(path, format_camera_info(calibration, comment))
 
 

@@ -95,9 +95,8 @@ def first_to_do(findings: Iterable[Finding]) -> Finding | None:
 
     Checks are ordered by dependence, so the first is the one to fix.
     """
-    found = list(findings)
-    level = worst(found)
-    return next((f for f in found if f.level is level), None) if level > Level.OK else None
+    first = max(findings, key=lambda finding: finding.level, default=None)
+    return first if first is not None and first.level > Level.OK else None
 
 
 def read_text(path: Path) -> str:
@@ -146,10 +145,8 @@ NO_CAMERA = (
     'plug the camera in and check that its LED is on; without a camera, use --device virtual'
 )
 SLOW = 'use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub in between'
-RULE = '65-mixtac.rules'
-RULE_FILE = Path(__file__).resolve().parent / 'udev' / RULE
+RULE_FILE = Path(__file__).resolve().parent / 'udev/65-mixtac.rules'
 """The udev rule that comes with this package."""
-RULES_FOLDERS = ('etc/udev/rules.d', 'usr/lib/udev/rules.d', 'lib/udev/rules.d')
 
 
 def cameras_on_bus(root: Path = ROOT) -> dict[str, dict[str, str]]:
@@ -196,20 +193,15 @@ def check_speed(camera: Mapping[str, str]) -> Finding:
 def check_permission(camera: Mapping[str, str], root: Path = ROOT) -> Finding:
     """Check the permission of the device node."""
     node = f'dev/bus/usb/{int(camera["busnum"]):03d}/{int(camera["devnum"]):03d}'
-    if any((root / folder / RULE).exists() for folder in RULES_FOLDERS):
-        remedy = (
-            f'the udev rule {RULE} is installed: reconnect the camera; over ssh, join the group '
-            'plugdev as well: sudo usermod -aG plugdev "$USER", then log in again'
-        )
-    else:
-        remedy = (
-            f'sudo cp {RULE_FILE} /etc/udev/rules.d/ && sudo udevadm control --reload && '
-            'sudo udevadm trigger --subsystem-match=usb, then reconnect the camera'
-        )
     there, usable = (root / node).exists(), os.access(root / node, os.R_OK | os.W_OK)
     state = 'may be opened' if usable else 'may not be opened' if there else 'is missing'
     in_container = 'in a container, pass it in: docker run --device=/dev/bus/usb'
-    problems = (not there, Level.ERROR, in_container), (not usable, Level.ERROR, remedy)
+    rule = (
+        f'sudo cp {RULE_FILE} /etc/udev/rules.d/ && sudo udevadm control --reload && '
+        'sudo udevadm trigger --subsystem-match=usb, then reconnect the camera; over ssh, join the '
+        'group plugdev as well: sudo usermod -aG plugdev "$USER", then log in again'
+    )
+    problems = (not there, Level.ERROR, in_container), (not usable, Level.ERROR, rule)
     return judge('permission', f'/{node} {state}', {}, *problems)
 
 

@@ -110,10 +110,6 @@ class DriverParameters(CameraParameters, PlaybackParameters, DeviceParameters):
                     f'{name} = {getattr(self, name)!r}: give a frame such as left/camera, of '
                     'letters, digits, _ and - between single slashes'
                 )
-        if not re.fullmatch(r'\w+', self.camera_name):
-            raise ConfigurationError(
-                f'camera_name = {self.camera_name!r}: use letters, digits and _ only'
-            )
         if self.hot_pixels_file:
             state_file(self.hot_pixels_file)
             if not self.hot_pixels_file.endswith('.png'):

@@ -129,18 +129,9 @@ def save_mask(mask: PixelMask, path: str) -> None:
     """Write a mask to a PNG file, whole or not at all; makes the folder.
 
     Raises:
-        ConfigurationError: Another file than a mask is there.
         FileError: The file cannot be written.
     """
     import cv2
-
-    if Path(path).exists():
-        try:
-            load_mask(path)
-        except ConfigurationError as error:
-            raise ConfigurationError(
-                f'{path!r} is not a pixel mask and stays as it is', remedy='give another name'
-            ) from error
 
     image = np.zeros(mask.size[::-1], np.uint8)
     for index, (column, row) in enumerate(mask.pixels):

@@ -179,25 +179,14 @@ def replayed_identity(info: RecordingInfo) -> Identity:
     Args:
         info: The recording. Its format stands for the chip, which is not recorded.
     """
+    width, height = info.width, info.height
     return Identity(
-        model=replace(DAVIS346, name=info.kind, chips=(), width=info.width, height=info.height),
+        model=replace(DAVIS346, name=info.kind, chips=(), width=width, height=height),
         serial=info.camera.rpartition('_')[2],
-        firmware=(0, 0),
-        logic=(0, 0),
         chip=info.kind,
-        is_master=True,
+        geometry=Geometry(width, height, False, width, height, False),
         # Recorded exposures are in microseconds already.
         clocks=Clocks(logic=1.0, adc=1.0, usb=1.0),
-        geometry=Geometry(
-            dvs_columns=info.width,
-            dvs_rows=info.height,
-            dvs_inverted=False,
-            aps_columns=info.width,
-            aps_rows=info.height,
-            aps_inverted=False,
-        ),
-        imu_type=0,
-        imu_flips=(False, False, False),
         color_filter=info.color_filter,
     )
 

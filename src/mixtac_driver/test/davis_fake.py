@@ -34,7 +34,6 @@ class FakeCamera:
         self.answers_reset = True
         self.error = None
         self.refused = set()
-        self.debug = None
         self.open_error = None
         self.bulk_errors = queue.Queue()
         self.handles = 0
@@ -93,14 +92,6 @@ class FakeCamera:
         assert len(data) <= length
         return data
 
-    def interrupt(self, timeout_ms):
-        if self.error:
-            raise self.error
-        try:
-            return self.debug.get(timeout=timeout_ms / 1000)
-        except queue.Empty:
-            raise USBTimeoutError('timeout', -7, errno.ETIMEDOUT) from None
-
     def unplug(self):
         self.error = USBError('no device', -4, errno.ENODEV)
 
@@ -139,16 +130,16 @@ class FakeBackend(usb.backend.IBackend):
             raise IndexError(intf)
         return SimpleNamespace(
             bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0,
-            bNumEndpoints=1 + (dev.debug is not None), bInterfaceClass=255,
+            bNumEndpoints=1, bInterfaceClass=255,
             bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev, ep, intf, alt, config):
-        if ep > (dev.debug is not None):
+        if ep:
             raise IndexError(ep)
         return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=(0x82, 0x81)[ep],
-            bmAttributes=(2, 3)[ep], wMaxPacketSize=(1024, 64)[ep], bInterval=ep,
+            bLength=7, bDescriptorType=5, bEndpointAddress=0x82,
+            bmAttributes=2, wMaxPacketSize=1024, bInterval=0,
             bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
@@ -192,11 +183,5 @@ class FakeBackend(usb.backend.IBackend):
     def bulk_read(self, handle, ep, intf, buff, timeout):
         assert ep == 0x82
         data = handle.bulk(len(buff), timeout)
-        memoryview(buff)[: len(data)] = data
-        return len(data)
-
-    def intr_read(self, handle, ep, intf, buff, timeout):
-        assert ep == 0x81
-        data = handle.interrupt(timeout)
         memoryview(buff)[: len(data)] = data
         return len(data)

@@ -146,45 +146,7 @@ def assert_same(found, oracle):
     assert counters.frames_dropped == oracle.dropped_frames
     assert counters.imu_dropped == oracle.dropped_imu
     assert counters.resets == oracle.resets
+    assert counters.words == counters.words_accounted
+    numbers = (counters.events, counters.frames, counters.imu, counters.edges)
+    assert numbers == tuple(map(len, (found.events, found.frames, found.samples, found.edges)))
     assert found.decoder.time_us == oracle.t
-
-
-def long_stream(rng, geometry, chunk_count=1500):
-    """Sound chunks in random order, then a few words lost, doubled or altered."""
-
-    def region():
-        x0, y0 = int(rng.integers(0, 340)), int(rng.integers(0, 255))
-        x1, y1 = x0 + int(rng.integers(0, 5)), y0 + int(rng.integers(0, 4))
-        return (x0, y0, x1, y1)
-
-    def frame():
-        x0, y0, x1, y1 = region()
-        size = (x1 + 1 - x0, y1 + 1 - y0)
-        columns, rows = size[::-1] if geometry.aps_inverted else size
-        parts = [
-            [kind, *(0x4000 | rng.integers(0, 1024, rows)), 13]
-            for kind in [11] * columns + [12] * columns
-        ]
-        exposure = 0x6000 | rng.integers(0, 1024, 3)
-        return [8, *exposure, *region_words(x0, y0, x1, y1), *chain(*parts), 14, 15, 10]
-
-    def imu():
-        info = int(rng.integers(32, 256))
-        length = 6 * bool(info & 0x80) + 2 * bool(info & 0x20) + 6 * bool(info & 0x40)
-        return [5, 0x5300 | info, *(0x5000 | rng.integers(0, 256, length)), 7]
-
-    def row():
-        columns = rng.integers(0, 262, rng.integers(0, 6))
-        return [0x1000 | int(rng.integers(0, 348)), *(columns | rng.choice([0x2000, 0x3000]))]
-
-    makers = (frame, imu, imu, row, row, row, lambda: [0x7001], lambda: [int(rng.integers(18))])
-    words, tick = [], 0
-    for k in rng.integers(0, len(makers), chunk_count):
-        tick = 0 if makers[k] is makers[6] else min(tick + 1, 0x7FFF)
-        words += [*([0x8000 | tick] if tick else []), *makers[k]()]
-    words = np.array(words)
-    words = np.delete(words, rng.integers(0, len(words), len(words) // 400))
-    words = np.insert(words, rng.integers(0, len(words), len(words) // 400), words[5])
-    altered = rng.integers(0, len(words), len(words) // 400)
-    words[altered] ^= 1 << rng.integers(0, 16, len(altered))
-    return words

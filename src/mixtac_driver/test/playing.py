@@ -18,8 +18,6 @@ class Played:
     times: list = field(default_factory=list)
     frames: list = field(default_factory=list)
     frame_times: list = field(default_factory=list)
-    imu: list = field(default_factory=list)
-    edges: list = field(default_factory=list)
     ended: bool = False
 
 
@@ -34,17 +32,6 @@ def play(source, batches=None):
             played.times.append(batch.time_us)
             played.frames += decoded.frames
             played.frame_times += [frame.middle_us + origin_us for frame in decoded.frames]
-            for index, t in enumerate(decoded.imu.t):
-                played.imu.append(
-                    (
-                        int(t) + origin_us,
-                        decoded.imu.acceleration[index],
-                        decoded.imu.angular_velocity[index],
-                        decoded.imu.temperature[index],
-                    )
-                )
-            for t, kind in zip(decoded.edges.t, decoded.edges.kind, strict=True):
-                played.edges.append((int(t) + origin_us, int(kind)))
             if number == batches:
                 break
     except EndOfStream:

@@ -144,14 +144,6 @@ def test_a_wrong_board_is_refused():
     assert reason(shaken) in (Refusal.LARGE_RESIDUAL, Refusal.UNCERTAIN, Refusal.NO_FIT)
 
 
-def test_wrong_options_and_mixed_sizes_are_refused():
-    views = perfect_views('equidistant', 10, 1)
-    with pytest.raises(CalibrationError):
-        calibrate(views, model='ftheta')
-    with pytest.raises(CalibrationError):
-        calibrate([*views, replace(views[0], width=320)])
-
-
 def test_a_view_is_kept_once_and_the_selection_completes():
     selection = ViewSelection()
     views = perfect_views('equidistant', 60, 1)

@@ -4,19 +4,15 @@
 
 from __future__ import annotations
 
-import errno
 import itertools
 import time
 
 import pytest
 from davis_fake import FakeBackend, FakeCamera
-from usb.core import USBError
 
 from mixtac_core.events.packetizer import PACKET_PERIOD_US
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import (
-    AccessError,
-    BusError,
     NoCameraError,
     StreamError,
     UnsupportedCameraError,
@@ -79,37 +75,10 @@ def test_cameras_of_another_kind_are_refused_and_given_back(change, value):
     assert not fake.claimed
 
 
-@pytest.mark.parametrize(
-    ('bcd_device', 'registers', 'firmware', 'logic', 'chip'),
-    [
-        (0x0006, {}, (0, 6), (18, 1), 'DAVIS346B'),
-        (0x00FF, {(6, 7): 9}, (0, 255), (18, 9), 'DAVIS346B'),
-        (0x0010, {(6, 1): 4}, (0, 16), (18, 1), 'DAVIS346A'),
-        (0x0006, {(6, 1): 9}, (0, 6), (18, 1), 'DAVIS346C'),
-    ],
-)
-def test_cameras_of_this_kind_are_taken(bcd_device, registers, firmware, logic, chip):
-    with opened(FakeCamera(bcd_device=bcd_device, registers=registers)) as camera:
-        identity = camera.identity
-    assert (identity.firmware, identity.logic, identity.chip) == (firmware, logic, chip)
-
-
 def test_no_camera_names_the_virtual_one():
     with pytest.raises(NoCameraError) as error:
         Davis346(backend=FakeBackend()).open()
     assert 'device:=virtual' in error.value.remedy
-
-
-@pytest.mark.parametrize(
-    ('number', 'kind'),
-    [(errno.EACCES, AccessError), (errno.EPERM, AccessError), (errno.EIO, BusError)],
-)
-def test_camera_that_may_not_be_opened(number, kind):
-    fake = FakeCamera()
-    fake.open_error = USBError('refused', -3, number)
-    with pytest.raises(kind) as error:
-        opened(fake).open()
-    assert error.value.remedy
 
 
 def test_start_and_stop_write_in_the_order_the_camera_knows():
@@ -187,17 +156,6 @@ def test_camera_that_does_not_confirm_the_reset_is_an_error():
         with pytest.raises(StreamError):
             got.extend(camera.batches())
         assert not got
-
-
-def test_stalled_endpoint_is_set_going_again():
-    fake = FakeCamera()
-    with opened(fake) as camera:
-        fake.bulk_errors.put(USBError('pipe', -9, errno.EPIPE))
-        camera.start()
-        fake.send([0x8001])
-        assert list(itertools.islice(camera.batches(), 1))
-        assert fake.log.count(('clear_halt', 0x82)) == 2
-        assert camera.transport_counters.stalls == 1
 
 
 def test_reset_on_the_sync_cable_does_not_set_published_time_back():

@@ -166,23 +166,13 @@ def test_damage_anywhere_is_refused_or_harmless(place, junk):
     assert np.isfinite(camera.camera_matrix).all()
 
 
-@pytest.mark.parametrize('text', ['', '- 1', '{', '!!python/object:os.system x', '\0', 'cam0: 1'])
-def test_other_texts_are_refused(text):
-    with pytest.raises(CalibrationError):
-        parse_camera_info(text)
-
-
-def test_writing_makes_folders_and_leaves_other_files_alone(tmp_path):
+def test_writing_makes_folders_and_replaces_files(tmp_path):
     path = tmp_path / 'a' / 'camera.yaml'
     write_camera_info(path, calibration(name='first'))
     write_camera_info(path, calibration(name='second'))
     assert read_camera_info(path).name == 'second'
-    notes = tmp_path / 'notes.yaml'
-    notes.write_text('mine: 1\n')
-    with pytest.raises(CalibrationError):
-        write_camera_info(notes, calibration())
     with pytest.raises(FileError):
-        write_camera_info(notes / 'camera.yaml', calibration())
+        write_camera_info(path / 'camera.yaml', calibration())
 
 
 def test_urls_name_files(monkeypatch, tmp_path):

@@ -74,12 +74,6 @@ def finding_of(root, name, serial=''):
     return {each.name: each for each in doctor.check_attached(serial, root)}[name]
 
 
-def test_only_cameras_are_found(tmp_path):
-    plug_in(tmp_path, 'usb1', idVendor='1d6b', idProduct='0003')
-    plug_in(tmp_path, '2-1:1.0', idVendor='')
-    assert list(doctor.cameras_on_bus(plug_in(tmp_path, '2-3'))) == ['2-3']
-
-
 @pytest.mark.parametrize('usb', [False, True])
 def test_no_camera_is_an_error_that_names_the_virtual_device(tmp_path, usb):
     if usb:
@@ -118,9 +112,6 @@ def test_permission(tmp_path, monkeypatch):
     assert finding_of(root, 'permission').level is Level.OK
     monkeypatch.setattr(os, 'access', lambda *_: False)  # root may open everything
     assert f'sudo cp {doctor.RULE_FILE} /etc' in finding_of(root, 'permission').remedy
-    (root / 'etc/udev/rules.d').mkdir(parents=True)
-    (root / 'etc/udev/rules.d/65-mixtac.rules').touch()
-    assert 'usermod -aG plugdev' in finding_of(root, 'permission').remedy
     (root / 'dev/bus/usb/002/005').unlink()
     finding = finding_of(root, 'permission')
     assert (finding.level, '--device=/dev/bus/usb' in finding.remedy) == (Level.ERROR, True)
@@ -152,15 +143,11 @@ def identity():
         return camera.identity
 
 
-def test_a_good_camera_has_nothing_to_mend(identity):
-    findings = check_measurement(GOOD, DriverParameters(), identity)
-    assert [f.level for f in findings] == [Level.OK] * 7
-    assert not any(f.remedy for f in findings)
-
-
 @pytest.mark.parametrize(
     ('name', 'changes', 'level'),
     [
+        ('events', {}, Level.OK),
+        ('camera clock', {}, Level.OK),
         ('events', {'events': 0}, Level.WARN),
         ('frames', {'frames': 0}, Level.ERROR),
         ('frames', {'frames': 40}, Level.WARN),

@@ -14,11 +14,10 @@ pytest.importorskip('mixtac_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
+from mixtac_core.events.readings import Frame
 from mixtac_core.node.stamps import stamp_to_us
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import Davis346
-from mixtac_msgs.msg import ExternalEdge
 
 ORIGIN_US = 1_760_000_000_000_000
 
@@ -35,17 +34,6 @@ def test_image_is_left_aligned_and_stamped_mid_exposure():
     assert (message.encoding, message.step, message.is_bigendian) == ('mono16', 692, False)
     pixels = np.frombuffer(message.data, np.uint16).reshape(260, 346)
     np.testing.assert_array_equal(pixels, sent.image * 64)
-
-
-@pytest.mark.parametrize('x', [0, 1])
-@pytest.mark.parametrize('y', [0, 1])
-@pytest.mark.parametrize(
-    ('color_filter', 'grid'), [(1, 'rggb'), (2, 'grbg'), (3, 'gbrg'), (4, 'bggr')]
-)
-def test_colour_pattern_follows_the_region(color_filter, grid, x, y):
-    whole = np.tile(np.array(list(grid)).reshape(2, 2), (2, 2))
-    expected = ''.join(whole[y : y + 2, x : x + 2].ravel())
-    assert messages.image_encoding(color_filter, x, y) == f'bayer_{expected}16'
 
 
 def test_camera_info_tells_the_region():
@@ -73,21 +61,3 @@ def test_exposure_has_the_header_of_its_image(global_shutter):
     assert [stamp_to_us(mark) - ORIGIN_US for mark in marks] == [100, 1000, 5001, 9000]
     assert message.shutter == (not global_shutter)
     assert messages.image_header(sent, ORIGIN_US, 'cam').header == image.header
-
-
-@pytest.mark.parametrize('kind', EdgeKind)
-def test_edges_have_the_kinds_of_the_message(kind):
-    message = messages.external_edge(int(kind), ORIGIN_US + 5, 7, 'cam')
-    assert getattr(ExternalEdge, kind.name) == message.kind
-    assert (stamp_to_us(message.header.stamp), message.seq) == (ORIGIN_US + 5, 7)
-
-
-def test_missing_inertial_groups_are_marked():
-    nan = np.full((1, 3), np.nan)
-    samples = InertialSamples(np.array([7]), np.array([[1.0, 2.0, 3.0]]), nan, np.array([np.nan]))
-    message = messages.imu(samples, 0, ORIGIN_US, 'imu')
-    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 7
-    assert message.linear_acceleration.z == 3.0
-    assert message.linear_acceleration_covariance[0] == 0.0
-    assert message.angular_velocity_covariance[0] == -1.0
-    assert message.angular_velocity.x == 0.0

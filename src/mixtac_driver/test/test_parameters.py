@@ -151,7 +151,6 @@ def test_numbers_have_ranges():
         ({'camera_frame_id': ''}, 'camera_frame_id'),
         ({'camera_frame_id': '/camera'}, 'camera_frame_id'),
         ({'imu_frame_id': 'left imu'}, 'imu_frame_id'),
-        ({'camera_name': 'left/camera'}, 'camera_name'),
         ({'hot_pixels_file': 'mask.jpg'}, 'hot_pixels_file'),
     ],
 )

@@ -214,16 +214,6 @@ def test_playing_from_an_offset_leaves_out_exactly_what_is_before(bag, offset_us
     assert found.frame_times == [t for t in frames if t >= START_US + offset_us]
 
 
-def test_a_start_finds_its_place_where_the_recorders_clock_drifts(tmp_path):
-    parts = [some_events(n, 10, 1000, start_us=START_US + n * 10_000_000) for n in range(40)]
-    with Bag(tmp_path / 'bag') as bag:
-        for number, part in enumerate(parts):
-            # The recorder's clock runs at half speed.
-            bag.packet(part, int(part.t[-1]), stamp_us=START_US + number * 5_000_000)
-    source = source_of(tmp_path / 'bag', playback_start=300.0)
-    assert_equal(play(source).events, Events.concatenate(parts[30:]))
-
-
 @pytest.mark.parametrize('loop', [False, True])
 def test_a_start_beyond_the_end_is_an_error_also_when_looping(bag, loop):
     source = source_of(bag, playback_start=60.0, playback_loop=loop)
@@ -250,18 +240,6 @@ def test_in_real_time_steps_are_short_and_feed_the_clock_map(bag):
     assert np.diff(found.times[:-1]).max() <= 1000
     assert source.status().clock.ready
     assert abs(source.status().clock.estimate().skew_ppm) < 1000
-
-
-def test_at_another_rate_there_is_no_clock_map(bag):
-    source = source_of(bag, playback_rate=1.0, playback_loop=True)
-    source.start()
-    batches = source.batches()
-    next(each for each in batches if source.status().clock.ready)
-    source.apply(DriverParameters(playback_rate=4.0, playback_loop=True, aps_exposure=1))
-    next(batches)
-    next(batches)
-    assert not source.status().clock.ready
-    source.close()
 
 
 def test_parameters_change_while_it_plays(bag):

@@ -145,16 +145,6 @@ def test_time_that_garbage_threw_ahead_is_not_published(rig):
     rig.check()
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_garbage_is_survived(rig, seed):
-    rng = np.random.default_rng(seed)
-    rig.device.feed(rng.integers(0, 1 << 16, 2000, np.uint16))
-    rig.wait_for_stream()
-    rig.wait_until(lambda: not rig.supervisor.error)
-    rig.wait_for_stream()
-    rig.check()
-
-
 @pytest.mark.parametrize(
     ('kind', 'name'),
     [
@@ -216,11 +206,3 @@ def test_server_that_does_not_answer_counts_as_unplugged(tmp_path, monkeypatch):
     rig.wait_for_stream()
     rig.check()
     rig.close()
-
-
-def test_reads_that_hang_are_seen_and_do_not_keep_stop_from_returning(rig, monkeypatch):
-    monkeypatch.setattr('mixtac_driver.supervisor.STOP_TIMEOUT_S', 0.3)
-    rig.device.inject(Fault(FaultKind.HANG_READS))
-    rig.wait_until(lambda: rig.supervisor.quiet_s > 0.5)
-    assert not rig.supervisor.stop()
-    rig.device.clear_faults()

@@ -165,12 +165,12 @@ class Identity:
     Attributes:
         model: Its model.
         serial: Serial number.
+        chip: Name of the sensor chip.
+        geometry: Pixel arrays.
+        clocks: Clocks for converting times to cycles.
         firmware: USB controller firmware, (major, minor).
         logic: FPGA logic, (version, patch).
-        chip: Name of the sensor chip.
         is_master: False where another camera's clock drives this one.
-        clocks: Clocks for converting times to cycles.
-        geometry: Pixel arrays.
         imu_type: 0 none, 1 MPU6050, 2 MPU9250.
         imu_flips: True per axis (x, y, z) whose direction on the unit is reversed.
         color_filter: 0 monochrome, 1 .. 8 a colour filter.
@@ -178,14 +178,14 @@ class Identity:
 
     model: CameraModel
     serial: str
-    firmware: tuple[int, int]
-    logic: tuple[int, int]
     chip: str
-    is_master: bool
-    clocks: Clocks
     geometry: Geometry
-    imu_type: int
-    imu_flips: tuple[bool, bool, bool]
+    clocks: Clocks
+    firmware: tuple[int, int] = (0, 0)
+    logic: tuple[int, int] = (0, 0)
+    is_master: bool = True
+    imu_type: int = 0
+    imu_flips: tuple[bool, bool, bool] = (False, False, False)
     color_filter: int = 0
 
 

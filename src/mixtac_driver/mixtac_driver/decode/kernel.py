@@ -73,13 +73,6 @@ def _imu_drop(s: Record, c: Record) -> None:
 
 
 @njit(nogil=True)
-def _imu_start(s: Record, c: Record) -> None:
-    """Start a sample."""
-    _imu_drop(s, c)
-    s.imu_index = IMU_AWAITS_INFO
-
-
-@njit(nogil=True)
 def _next_byte(index: int, info: int) -> int:
     """Return the index of the next byte that is sent, at or after this one."""
     if index == 0 and not info & HAS_ACCELERATION:
@@ -134,16 +127,6 @@ def _imu_end(s: Record, c: Record, r: Record) -> None:
 
 
 @njit(nogil=True)
-def _take_wrap(count: int, s: Record, c: Record) -> None:
-    if count == 0:
-        c.timestamps_backwards += 1
-        return
-    s.wrap_base += count * 0x8000
-    s.time = s.wrap_base
-    c.wraps += 1
-
-
-@njit(nogil=True)
 def _take_reset(s: Record, c: Record) -> None:
     frame_drop(s, c)
     _imu_drop(s, c)
@@ -154,14 +137,6 @@ def _take_reset(s: Record, c: Record) -> None:
 
 
 @njit(nogil=True)
-def _take_edge(code: int, s: Record, c: Record, r: Record) -> None:
-    r.edge_t[r.edge_count] = s.time
-    r.edge_kind[r.edge_count] = code
-    r.edge_count += 1
-    c.edges += 1
-
-
-@njit(nogil=True)
 def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
     """Take a special word; return the reason to stop, or DONE."""
     if code == 1:
@@ -169,9 +144,13 @@ def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
         return RESET
     reason = DONE
     if 2 <= code <= 4 or 16 <= code <= 17:
-        _take_edge(code, s, c, r)
+        r.edge_t[r.edge_count] = s.time
+        r.edge_kind[r.edge_count] = code
+        r.edge_count += 1
+        c.edges += 1
     elif code == 5:
-        _imu_start(s, c)
+        _imu_drop(s, c)
+        s.imu_index = IMU_AWAITS_INFO
     elif code == 7:
         _imu_end(s, c, r)
     elif 8 <= code <= 9:
@@ -246,8 +225,12 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
             n = take_event_word(word, n, s, c, out)
         elif kind == 0:
             reason = _take_special(word, s, c, r)
+        elif word == 0x7000:
+            c.timestamps_backwards += 1
         elif kind == 7:
-            _take_wrap(word & 0xFFF, s, c)
+            s.wrap_base += (word & 0xFFF) * 0x8000
+            s.time = s.wrap_base
+            c.wraps += 1
         else:
             _take_data(word, s, c, r)
         i += 1

@@ -95,12 +95,10 @@ class Protocol:
         device: A `usb.core.Device`.
 
     Attributes:
-        retries: Requests that were repeated.
         failure: Error of the latest request that stayed unanswered, or None.
     """
 
     def __init__(self, device: Any) -> None:  # noqa: ANN401
-        self.retries = 0
         self.failure: NoAnswerError | None = None
         self._device = device
 
@@ -159,7 +157,6 @@ class Protocol:
             except USBTimeoutError:
                 if request != REQUEST_ONE:
                     raise
-                self.retries += 1
                 return self._device.ctrl_transfer(*arguments)
         except USBError as error:
             failure = usb_failure(error, doing)

@@ -15,8 +15,6 @@ from decoder_cases import (
     assert_same,
     decode,
     geometries,
-    long_stream,
-    region_words,
     streams,
 )
 from hypothesis import given
@@ -55,27 +53,6 @@ def test_garbage_decodes_as_the_oracle_says_and_stays_inside_the_array(data, geo
     assert all(x < width and y < height for _, _, x, y, _ in found.events)
 
 
-@SETTINGS
-@given(streams(), geometries())
-def test_every_word_is_counted_once(words, geometry):
-    found = decode(words, geometry)
-    counters = found.decoder.counters
-    assert counters.words == counters.words_accounted == len(words)
-    assert counters.events == len(found.events)
-    assert counters.frames == len(found.frames)
-    assert counters.imu == len(found.samples)
-    assert counters.edges == len(found.edges)
-
-
-@SETTINGS
-@given(streams())
-def test_time_never_goes_back_between_resets(words):
-    found = decode(words, cuts=range(0, 8000, 100))
-    for rows in (found.events, found.times):
-        keys = [row[:2] for row in rows]
-        assert keys == sorted(keys)
-
-
 def test_what_is_not_due_comes_with_the_next_batch():
     decoder = StreamDecoder(Geometry())
     event = [0x1003, 0x3004]
@@ -92,26 +69,6 @@ def test_a_reset_makes_everything_due():
         (0, 100, 1),
         (1, 5, 0),
     ]
-
-
-def test_wrap_count_above_one_is_multiplied():
-    words = [0x800A, 0x1000, 0x2000, 0x7003, 0x8005, 0x2001]
-    assert [e[1] for e in decode(words).events] == [10, 3 * 32768 + 5]
-
-
-def test_time_runs_on_past_31_bits():
-    found = decode([0x7FFF] * 20 + [0x8001, 0x1000, 0x2000])
-    assert found.events[0][1] == 20 * 4095 * 32768 + 1
-
-
-def test_reset_drops_the_frame_and_the_sample_in_progress():
-    frame = [8, *region_words(0, 0, 0, 0), 11, 0x4200, 13, 1, 12, 0x4100, 13, 10]
-    imu = [5, 0x5320, 0x5001, 1, 0x5002, 7]
-    found = decode(frame + imu)
-    assert not found.frames
-    assert not found.samples
-    counters = found.decoder.counters
-    assert (counters.frames_dropped, counters.imu_dropped, counters.resets) == (1, 1, 2)
 
 
 def test_bursts_beyond_the_capacity_come_in_several_batches():
@@ -172,21 +129,6 @@ def test_gap_sums_wraps_since_the_last_reset():
     assert Gap(2, 5, 0) + Gap(4, 3, 0) == Gap(6, 8, 0)
     assert Gap(2, 5, 1) + Gap(4, 3, 1) == Gap(6, 3, 2)
     assert gap_of(np.array([0x7002, 1, 0x7003, 0x8001], '<u2').tobytes()) == Gap(8, 3, 1)
-
-
-@pytest.mark.parametrize('seed', range(6))
-def test_long_damaged_streams_in_small_pieces(seed):
-    rng = np.random.default_rng(seed)
-    flags = [bool(b) for b in rng.integers(0, 2, 4)]
-    sizes = [(260, 346) if flag else (346, 260) for flag in flags[:2]]
-    geometry = Geometry(*sizes[0], flags[0], *sizes[1], *flags[1:])
-    words = long_stream(rng, geometry)
-    oracle = Oracle(geometry).words(words)
-    assert len(oracle.frames) > 20
-    assert len(oracle.samples) > 50
-    assert oracle.dropped_imu > 5
-    cuts = np.cumsum(rng.integers(1, 60, len(words) // 10)).tolist()
-    assert_same(decode(words, geometry, cuts, capacity=int(rng.integers(1, 500))), oracle)
 
 
 def test_transfers_of_events_allocate_little():

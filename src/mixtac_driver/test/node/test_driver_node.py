@@ -15,14 +15,12 @@ pytest.importorskip('mixtac_sim.usb.server')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from event_camera_msgs.msg import EventPacket
-from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
-from std_srvs.srv import Trigger
+from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
 
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_LATCHED, QOS_SENSOR, qos
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
-from mixtac_msgs.msg import ExternalEdge, FrameExposure
 
 pytestmark = pytest.mark.dds
 RELIABLE = qos(topics.EVENTS, offered=True)
@@ -78,8 +76,22 @@ def test_everything_is_published_on_one_clock(camera, graph):
     assert values['hardware_id'] == 'V0000042'
     assert values['simulated'] == 'True'
     assert 'simulated' in values['message']
+    check_settings(graph, camera.scene.device)
     code, output = graph.stop()
     assert (code, 'Traceback' in output) == (0, False)
+
+
+def check_settings(graph, device):
+    """Settings change while the camera streams; contradictions and the device do not."""
+    assert graph.change('/mixtac/driver', aps_exposure=6000, ONBn_fine=100).successful
+    assert (device.exposure_us, device.register(5, 11) >> 4 & 255) == (6000, 100)
+    for change in (
+        {'device': 'davis346'},
+        {'aps_exposure': -1},
+        {'roi_start_col': 9, 'roi_end_col': 8},
+    ):
+        assert not graph.change('/mixtac/driver', **change).successful
+    assert (device.register(1, 41), device.exposure_us) == (0, 6000)
 
 
 def check_packets(packets):
@@ -96,80 +108,6 @@ def check_packets(packets):
             arrival_us = stamp_to_us(packet.header.stamp)
             assert -100_000 < arrival_us - decoded.events.t[0] < MINUTE_US
         complete = decoded.complete_until
-
-
-def test_settings_change_while_running_and_the_device_does_not(camera, graph):
-    camera.plug_in()
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
-    graph.start(DRIVER, camera.device, 'aps_exposure:=2000')
-    graph.spin_until(lambda: graph.got['/mixtac/events'])
-    device = camera.scene.device
-    assert device.exposure_us == 2000
-    assert graph.change('/mixtac/driver', aps_exposure=6000).successful
-    assert device.exposure_us == 6000
-    refused = graph.change('/mixtac/driver', device='davis346')
-    assert not refused.successful
-    assert 'restart' in refused.reason
-    assert not graph.change('/mixtac/driver', aps_exposure=-1).successful
-    assert not graph.change('/mixtac/driver', ONBn_fine=256).successful
-    assert graph.change('/mixtac/driver', ONBn_fine=100, imu_acc_scale=3).successful
-    assert (device.register(5, 11) >> 4 & 255, device.register(3, 7)) == (100, 3)
-    # What contradicts another value is refused before anything is written.
-    refused = graph.change('/mixtac/driver', aps_exposure=1000, roi_start_col=300, roi_end_col=299)
-    assert not refused.successful
-    assert '300 .. 299' in refused.reason
-    assert (device.register(1, 41), device.exposure_us) == (0, 6000)
-    assert graph.change('/mixtac/driver', dvs_enabled=False).successful
-    assert device.register(1, 3) == 0
-    # The scene is brighter than the target, so the exposure shrinks frame by frame.
-    assert graph.change(
-        '/mixtac/driver', aps_auto_exposure=True, aps_auto_exposure_minimum=3000
-    ).successful
-    graph.spin_until(lambda: device.exposure_us == 3000)
-    assert graph.change('/mixtac/driver', aps_auto_exposure=False).successful
-    assert device.exposure_us == 6000
-    images = graph.got['/mixtac/image_raw']
-    assert graph.change('/mixtac/driver', aps_roi_start_col=11, aps_roi_end_row=99).successful
-    images.clear()
-    graph.spin_until(lambda: images and images[-1].width == 335)
-    assert (images[-1].height, images[-1].step) == (100, 670)
-
-
-def test_a_snapshot_its_exposure_and_edges(camera, graph):
-    camera.plug_in()
-    graph.listen(EventPacket, '/mixtac/events', RELIABLE)
-    graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
-    graph.listen(FrameExposure, '/mixtac/image_exposure', QOS_SENSOR)
-    graph.listen(ExternalEdge, '/mixtac/external_edges', 100)
-    graph.listen(Temperature, '/mixtac/temperature', QOS_SENSOR)
-    graph.start(DRIVER, camera.device, 'aps_enabled:=false', 'hot_pixels_duration:=0.3')
-    images, exposures = graph.got['/mixtac/image_raw'], graph.got['/mixtac/image_exposure']
-    graph.spin_until(lambda: graph.got['/mixtac/events'] and graph.got['/mixtac/temperature'])
-    assert graph.got['/mixtac/temperature'][-1].temperature == pytest.approx(40, abs=0.1)
-    assert not images
-    answer = graph.call(Trigger, '/mixtac/driver/snapshot')
-    assert answer.success, answer.message
-    graph.spin_until(lambda: images and exposures)
-    assert (len(images), len(exposures)) == (1, 1)
-    (exposure,), (image,) = exposures, images
-    assert exposure.header == image.header
-    assert f'{stamp_to_us(image.header.stamp) / 1e6:.6f}' in answer.message
-    marks = ('frame_start', 'exposure_start', 'exposure_end', 'frame_end')
-    times = [stamp_to_us(getattr(exposure, mark)) for mark in marks]
-    assert np.diff(times).tolist() == [6000, 4000, 6000]
-    assert stamp_to_us(image.header.stamp) == times[1] + 2000
-    assert exposure.shutter == FrameExposure.GLOBAL_SHUTTER
-    edges = graph.got['/mixtac/external_edges']
-    for _ in range(3):
-        camera.scene.device.feed(np.array([3, 2], np.uint16))
-    graph.spin_until(lambda: len(edges) == 6)
-    assert [edge.kind for edge in edges] == [3, 2] * 3
-    assert [edge.seq for edge in edges] == list(range(6))
-    assert abs(stamp_to_us(edges[-1].header.stamp) - time.time_ns() // 1000) < MINUTE_US
-    answer = graph.call(Trigger, '/mixtac/driver/find_hot_pixels')
-    assert answer.success, answer.message
-    assert '0 masked' in answer.message
 
 
 @pytest.mark.parametrize(('device', 'words'), [('davis346', 'virtual'), ('nonsense', 'davis346')])

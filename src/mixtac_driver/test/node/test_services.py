@@ -181,14 +181,6 @@ def test_a_snapshot_is_asked_for_and_awaited(rig):
     assert answer.message.startswith('frame of 5.')
 
 
-def test_a_closed_camera_is_named(rig):
-    rig.decode(lambda: None)
-    for name in ('~/snapshot', '~/reset_timestamps'):
-        answer = rig.node.call(name)
-        assert not answer.success
-        assert 'camera' in answer.message
-
-
 def test_frames_exposed_before_do_not_count():
     waiting = NextFrame(5_001_000)
     waiting.add(batch(Events.empty(), 0, (frame(999),)))

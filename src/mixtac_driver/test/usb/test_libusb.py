@@ -121,15 +121,6 @@ def test_data_before_a_disconnect_come_first_then_the_error(make_rig):
             rig.reader.get(1.0)
 
 
-@pytest.mark.parametrize('status', [fake_libusb.FAILED, fake_libusb.OVERFLOW])
-def test_other_failures_end_reading(make_rig, status):
-    rig = make_rig()
-    rig.reader.start()
-    rig.lib.send(b'', status)
-    with pytest.raises(UsbError):
-        rig.reader.get(1.0)
-
-
 def test_too_little_memory_in_the_kernel_is_said(make_rig):
     rig = make_rig()
     rig.lib.submit_error = fake_libusb.ERROR_NO_MEMORY
