@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.endpoints import parse, serial_number
-from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout
+from mixtac_sim.usb.endpoints import parse
+from mixtac_sim.usb.faults import UsbGone, UsbStall, UsbTimeout
 
 
 @pytest.fixture
@@ -112,12 +112,6 @@ def test_descriptors_are_those_of_the_camera(device):
     assert (serial[0], serial[1]) == (len(serial), 3)
 
 
-def test_serial_number_fits_libcaer():
-    serials = {serial_number(seed) for seed in (0, 1, 7, 10**6)}
-    assert len(serials) == 4
-    assert all(len(serial) <= 8 for serial in serials)
-
-
 def test_standard_requests(device):
     assert device.control(0x80, 8, 0, 0, 1) == b'\1'
     device.control(0x00, 9, 0, 0, b'')
@@ -181,18 +175,6 @@ def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
     assert results == [b'\0\0\1\0\2\0', 'gone']
     with pytest.raises(UsbGone):
         read(device, 6, 0)
-
-
-def test_interface_belongs_to_one_session(device):
-    device.claim('a')
-    device.claim('a')
-    with pytest.raises(UsbBusy):
-        device.claim('b')
-    device.release('b')
-    with pytest.raises(UsbBusy):
-        device.claim('b')
-    device.release('a')
-    device.claim('b')
 
 
 def test_port_reset_brings_power_up_values_back(device):

@@ -17,12 +17,7 @@ import struct
 
 import numpy as np
 import pytest
-from umockdev_scene import (
-    FULL,
-    IMU_RAW,
-    IMU_REST,
-    REGION,
-)
+from umockdev_scene import FULL, IMU_RAW, IMU_REST, REGION, times_of
 from umockdev_session import CLIENTS, need_umockdev, run_client
 
 pytestmark = pytest.mark.umockdev
@@ -81,7 +76,7 @@ def check_frame(result, number, frame, corner=(0, 0), late_us=0):
     expected = image(result.client, frame.reset, frame.signal)
     np.testing.assert_array_equal(result.frames[number], expected)
     assert tuple(result.seen['corners'][number]) == corner
-    times = [t + late_us for t in frame.times]
+    times = [t + late_us for t in times_of(frame)]
     if result.client == 'dv':
         # It takes the exposure from the register words, which say 4 us in the frames by hand.
         exposure_us = 4 if number >= SCENE_FRAMES else times[2] - times[1]

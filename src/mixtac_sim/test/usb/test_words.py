@@ -8,8 +8,9 @@ import struct
 
 import numpy as np
 import pytest
-from usb_oracle import APS, IMU, Frame, camera, decode, drain, events_of, some_frame, write
+from usb_oracle import APS, IMU, camera, decode, drain, events_of, some_frame, write
 
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.registers import Board
 from mixtac_sim.usb.words import ImuReading
 
@@ -62,7 +63,7 @@ def test_rolling_shutter_takes_reset_and_signal_columns_in_turns():
     device = camera()
     write(device, (APS, 7, 0))
     picture = some_frame()
-    frame = Frame(1000, 1100, 3000, 8000, picture.reset, picture.signal)
+    frame = ApsFrame(1000, 1100, 3000, 8000, picture.reset, picture.signal)
     device.submit(frames=[frame])
     for t in range(0, 40_001, 250):
         device.advance(t)

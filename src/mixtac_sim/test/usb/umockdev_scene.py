@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mixtac_core.events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.words import ImuReading
 
 DURATION_US = 1_000_000
@@ -17,23 +18,12 @@ EDGE_CODES = (3, 2, 4, 17, 16)
 FULL = (0, 0, 345, 259)
 
 
-@dataclass
-class Frame:
-    """A frame as the simulation hands it over; times [us]."""
-
-    frame_start_us: int
-    exposure_start_us: int
-    exposure_end_us: int
-    frame_end_us: int
-    reset: np.ndarray
-    signal: np.ndarray
-
-    @property
-    def times(self):
-        return (
-            *(self.frame_start_us, self.exposure_start_us),
-            *(self.exposure_end_us, self.frame_end_us),
-        )
+def times_of(frame):
+    """Return the times of a frame: start, start and end of the exposure, end [us]."""
+    return (
+        *(frame.frame_start_us, frame.exposure_start_us),
+        *(frame.exposure_end_us, frame.frame_end_us),
+    )
 
 
 @dataclass
@@ -49,7 +39,7 @@ class Scene:
         """Return the scene later by a time [us]."""
         return Scene(
             self.events.shifted(by),
-            [Frame(*(t + by for t in f.times), f.reset, f.signal) for f in self.frames],
+            [ApsFrame(*(t + by for t in times_of(f)), f.reset, f.signal) for f in self.frames],
             [replace(r, t_us=r.t_us + by) for r in self.readings],
             [(t + by, code) for t, code in self.edges],
         )
@@ -69,7 +59,7 @@ def make_scene():
     """
     rng = np.random.default_rng(346)
     frames = [
-        Frame(start, start + 5_200, start + 9_200, start + 14_400, *samples(rng))
+        ApsFrame(start, start + 5_200, start + 9_200, start + 14_400, *samples(rng))
         for start in range(5_000, DURATION_US - 40_000, 100_000)
     ]
     readings = [
@@ -150,7 +140,7 @@ class HardWords:
         exposed, closed = self.at(offset + 1000, 14), self.at(offset + 2000, 15)
         for row in signal[:signal_columns]:
             self.column(row, signal=True)
-        return Frame(start, exposed, closed, self.at(offset + 3000, 10), reset, signal)
+        return ApsFrame(start, exposed, closed, self.at(offset + 3000, 10), reset, signal)
 
     def rolling_frame(self, offset, reset, signal, lag=9):
         """Write a frame of a rolling shutter: a row's signal follows its reset by some rows."""
@@ -164,7 +154,7 @@ class HardWords:
                 closed = self.at(offset + 900, 15)
             if k >= lag:
                 self.column(signal[k - lag], signal=True)
-        return Frame(start, exposed, closed, self.at(offset + 3000, 10), reset, signal)
+        return ApsFrame(start, exposed, closed, self.at(offset + 3000, 10), reset, signal)
 
     def imu(self, offset, values, *, until=14):
         """Write a sample of all groups (4 g, 500 deg/s); cut after some bytes it has no end."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mixtac_core.events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 
@@ -71,18 +72,6 @@ def decode(words, *, inverted=True):
     return out
 
 
-@dataclass
-class Frame:
-    """A frame as the simulation hands it over."""
-
-    frame_start_us: int
-    exposure_start_us: int
-    exposure_end_us: int
-    frame_end_us: int
-    reset: np.ndarray
-    signal: np.ndarray
-
-
 def write(device, *settings):
     data = b''.join(struct.pack('>BBI', *setting) for setting in settings)
     device.control(0x40, 0xC2, len(settings), 0, data)
@@ -117,4 +106,4 @@ def some_frame(start=1000, seed=0):
     rng = np.random.default_rng(seed)
     reset = rng.integers(500, 1024, (260, 346)).astype(np.uint16)
     signal = rng.integers(1, 500, (260, 346)).astype(np.uint16)
-    return Frame(start, start + 5000, start + 9000, start + 14_000, reset, signal)
+    return ApsFrame(start, start + 5000, start + 9000, start + 14_000, reset, signal)

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
 from mixtac_sim import SimulationError
-from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.plans import DATASETS, describe, plan_dataset, plan_profile, split_groups
 from mixtac_sim.world.profiles import make_profile
 
@@ -66,14 +65,6 @@ def test_every_trial_of_the_data_sets_can_be_made():
         for spec in plan_dataset(name)[:3]:
             made = make_profile(spec.profile, spec.trial_seed, spec.seconds, sync=True)
             assert len(made.sync_s) == 2
-
-
-def test_an_impact_trial_is_one_drop():
-    for spec in plan_dataset('impact'):
-        made = make_profile('impact', spec.trial_seed, spec.seconds, sync=True)
-        drops = [segment for segment in made.segments if segment.mode == Mode.DROP]
-        assert len(drops) == 1
-        assert drops[0].end_s - drops[0].start_s > 1.0
 
 
 @given(st.integers(2, 500), st.integers(0, 2**32))
