@@ -26,6 +26,7 @@ from mixtac_core.node.files import write_json
 from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.estimator import open_estimator
+from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.validity import Validity
@@ -253,7 +254,7 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
         ModelError: There is no such model.
     """
     model = read_model(find_model(model_name))
-    estimator = open_estimator(model)
+    estimator = FgerEstimator(model)
     scene = make_scene(seconds, preset)
     warm_up(estimator)
     alone, touched = (_figures(model, scene, each) for each in (None, ContactSettings()))

@@ -21,10 +21,11 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.node import topics
 from mixtac_core.node.files import write_json
 from mixtac_core.recordings.bag import distinct_names, find_bags
-from mixtac_fger.alignment.align import Method, Recording
+from mixtac_fger.alignment.align import Method
 from mixtac_fger.alignment.align import align as align_recording
 from mixtac_fger.alignment.bags import read_recording, rewrite_bag, write_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
+from mixtac_fger.alignment.histories import Recording
 
 METHODS: Final = ('taps', 'edges')
 CLOSE_S: Final = 0.08

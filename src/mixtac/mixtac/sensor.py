@@ -244,7 +244,7 @@ class Sensor:
         if not settings.reference and kind is SourceKind.CAMERA:
             settings = replace(settings, reference=reference_name(identity.serial))
         stored_reference(settings.reference, estimator.reference)
-        options = settings.estimator_options()
+        options = settings.estimator_options() | {'assume_free': settings.assume_free}
         self._settings = settings
         self._feed = ForceEstimator(estimator, background_frames=True, **options)
         self._closing.append(self._feed.close)

@@ -49,8 +49,10 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 ARCHITECTURE = 'fger_small'
 VERSION = 5
-LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
-"""Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
+LOWEST_LOG_DEVIATION = -7.0
+"""Least logarithm of a standard deviation before `deviation.scale` [log N]."""
+HIGHEST_LOG_DEVIATION = 2.0
+"""Largest logarithm of it [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
 """What the frame network can be given; see `FgerConfig.frame_channels`."""
 CELL_FEATURES = 4
@@ -62,7 +64,7 @@ MOMENTS = 5 + len(TURNING_WIDTHS)
 FEWEST_WINDOWS = 10
 """Least of `FgerConfig.history_windows`: what is read around a frame."""
 LARGEST = 1_000_000
-"""Most of every whole number of a configuration: a weight file may come from anywhere."""
+"""Largest number of a configuration: a weight file may come from anywhere."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
@@ -165,17 +167,14 @@ class FgerConfig:
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
+            least = {'history_windows': FEWEST_WINDOWS, 'deviation_size': 0}.get(field.name)
             if type(value) not in {int, float}:
                 continue
-            if not 0 <= value < math.inf or (value == 0 and field.name != 'deviation_size'):
-                raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive number')
-            if isinstance(value, int) and value > LARGEST:
-                raise ConfigError(f'FgerConfig.{field.name} = {value}: give at most {LARGEST}')
-        if self.history_windows < FEWEST_WINDOWS:
-            raise ConfigError(
-                f'FgerConfig.history_windows = {self.history_windows}: give {FEWEST_WINDOWS} or'
-                ' more'
-            )
+            if not (0 < value <= LARGEST if least is None else least <= value <= LARGEST):
+                raise ConfigError(
+                    f'FgerConfig.{field.name} = {value}: give {least or "a number above 0"} to'
+                    f' {LARGEST}'
+                )
         if self.frame_bin % self.gradient_bin:
             raise ConfigError(
                 f'FgerConfig.frame_bin = {self.frame_bin}: give a multiple of gradient_bin'
@@ -245,11 +244,11 @@ class FgerConfig:
         Raises:
             ConfigError: A field is unknown, missing or impossible.
         """
-        names = {field.name for field in dataclasses.fields(cls)}
-        if set(values) != names:
-            odd = sorted(names.symmetric_difference(values))
+        odd = {field.name for field in dataclasses.fields(cls)}.symmetric_difference(values)
+        if odd:
             raise ConfigError(
-                f'FgerConfig fields {odd} are missing or unknown', remedy='retrain the model'
+                f'FgerConfig fields {sorted(odd)} are missing or unknown',
+                remedy='retrain the model',
             )
         return from_mapping(cls, values, 'FgerConfig')
 

@@ -35,13 +35,16 @@ F64 = NDArray[np.float64]
 
 PARAMETERS: Final = 8
 """a, s_x, s_y, c_x, c_y, M_xx, M_xy, M_yy."""
-SHEAR_FALL, SHEAR_LOBES = 0.8, 0.8
-"""How shear and perspective fall off, and how much farther they reach along the pull: with these
-the place follows a pull neither too far nor too little, on 16 simulated sensors (`paper_like`)."""
+SHEAR_FALL: Final = 0.8
+"""How fast shear and perspective fall off with q."""
+SHEAR_LOBES: Final = 0.8
+"""How much farther they reach along the pull than across it."""
 START_MM: Final = 3.0
 """Width from which a fit begins [mm]."""
-NARROWEST_MM, WIDEST_MM = 0.8, 12.0
-"""Widths between which a fit stays [mm]."""
+NARROWEST_MM: Final = 0.8
+"""Smallest width of a fit [mm]."""
+WIDEST_MM: Final = 12.0
+"""Largest width of a fit [mm]."""
 ROUND: Final = 0.3
 """Standard deviation of the logarithm of the ratio of the widths, before any measurement."""
 REACH_MM: Final = (14.0, 11.0)
@@ -51,9 +54,7 @@ SIGNIFICANT: Final = 10.0
 PLACE_DEVIATION_MM: Final = 0.14
 """Standard deviation of the place per axis [mm] that the arrangement of the beads makes."""
 SHEAR_DEVIATION: Final = 0.13
-"""The same over s / (a M), which is how far a pull that is taken for a press moves the place. Of 28
-simulated sensors (`paper_like`) 71 % of the places are within one deviation of both, and 94 %
-within 1.96; pulled by 0.3 of the normal force and more 70 and 95 %."""
+"""The same over s / (a M): how far a pull moves the place of a press."""
 CARRY_RIDGE: Final = 0.03
 """Regularisation over the diagonal of the normal matrix by which events change a contact."""
 KNOWN_OBJECT: Final = (0.4127, 0.1427, 0.3455, 0.3258)

@@ -8,7 +8,7 @@ import array
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import Point, PointStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
@@ -20,7 +20,7 @@ from mixtac_msgs.msg import Contact
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mixtac_fger import contact_tracking
+    from mixtac_fger.contact import ContactShape
     from mixtac_fger.displacement import DisplacementField, SkinScale
     from mixtac_fger.estimator import Estimate
     from mixtac_fger.parameters import FgerParameters
@@ -32,7 +32,7 @@ CLOUD_FIELDS: Final = ('x', 'y', 'z', 'dx', 'dy', 'confidence')
 
 
 class ContactOutputs:
-    """Publishers of contact and displacement, offered where they are wanted, and only there.
+    """Publishers of the topics of contact and displacement that the parameters ask for.
 
     Args:
         node: An rclpy lifecycle node of `mixtac_core.node.base_node`.
@@ -40,110 +40,73 @@ class ContactOutputs:
 
     def __init__(self, node: Any) -> None:  # noqa: ANN401
         self._node = node
-        self._contact: tuple[Any, ...] = ()
-        self._field: tuple[Any, ...] = ()
-        self._located = Contact()
+        self._publishers: dict[topics.Topic, Any] = {}
         self._field_us = 0
 
-    @property
-    def offered(self) -> bool:
-        """Whether contacts have to be found."""
-        return bool(self._contact)
-
     def open(self, settings: FgerParameters) -> None:
-        """Offer what is wanted."""
-        field = settings.displacement != 'off'
-        contact = settings.contact or field
-        if (contact, field) == (bool(self._contact), bool(self._field)):
-            return
-        self.close()
-        create = self._node.publish_topic
-        if contact:
-            outputs = (topics.CONTACT, topics.CONTACT_POINT)
-            self._contact = tuple(create(each, managed=True) for each in outputs)
-        if field:
-            outputs = (topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS)
-            self._field = tuple(create(each, managed=True) for each in outputs)
+        """Create the publishers that the parameters ask for, and destroy the others."""
+        chosen: tuple[topics.Topic, ...] = ()
+        if settings.contact or settings.displacement != 'off':
+            chosen = topics.CONTACT, topics.CONTACT_POINT
+        if settings.displacement != 'off':
+            chosen += topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS
+        if chosen != tuple(self._publishers):
+            self.close()
+            self._publishers = {
+                each: self._node.publish_topic(each, managed=True) for each in chosen
+            }
 
     def close(self) -> None:
-        """Offer nothing."""
-        for publisher in (*self._contact, *self._field):
-            self._node.destroy_publisher(publisher)
-        self._contact = self._field = ()
+        """Destroy the publishers."""
+        while self._publishers:
+            self._node.destroy_publisher(self._publishers.popitem()[1])
 
     def publish(
         self, estimator: ForceEstimator, estimates: Sequence[Estimate], settings: FgerParameters
     ) -> None:
-        """Publish what belongs to estimates; without a subscriber it is not even computed.
+        """Publish contact and displacement of estimates; not computed without a subscriber.
 
         Args:
             estimator: Gave the estimates.
             estimates: Of the latest windows, at least one.
             settings: Parameters of the node.
         """
-        contact, field = (
-            [each.get_subscription_count() > 0 for each in publishers]
-            for publishers in (self._contact, self._field)
-        )
-        estimator.contact_wanted = any(contact) or any(field)
+        used = {
+            topic: publisher
+            for topic, publisher in self._publishers.items()
+            if publisher.get_subscription_count()
+        }
+        estimator.want_contact(bool(used))
         tracker = estimator.contact
-        if tracker is None:
+        if tracker is None or not used:
             return
-        frame_id, size = settings.frame_id, estimator.size
-        if any(contact):
-            for estimate in estimates:
-                self._publish_contact(estimate, tracker.settings.scale, size, frame_id, contact)
-        if any(field):
-            carried = settings.displacement == 'windows'
-            end_us = estimates[-1].end_us if carried else tracker.frame_us
-            self._publish_field(tracker, end_us, size, frame_id, field, carried=carried)
-
-    def _publish_contact(
-        self,
-        estimate: Estimate,
-        scale: SkinScale,
-        size: tuple[int, int],
-        frame_id: str,
-        wanted: list[bool],
-    ) -> None:
-        found = estimate.contact
-        if found is None:
+        scale, size, frame_id = tracker.settings.scale, estimator.size, settings.frame_id
+        for estimate in estimates:
+            contact = estimate.contact
+            if contact is not None and topics.CONTACT in used:
+                message = stamp(Contact(), estimate.end_us, frame_id)
+                message.in_contact, message.located = contact.touching, contact.shape is not None
+                message.frame_age = estimate.frame_age_us * 1e-6
+                if contact.shape is not None:
+                    fill_shape(message, contact.shape, scale, size)
+                used[topics.CONTACT].publish(message)
+            if contact is not None and contact.shape and topics.CONTACT_POINT in used:
+                place = stamp(PointStamped(), estimate.end_us, frame_id)
+                place.point = Point(x=contact.shape.x_mm * MM, y=contact.shape.y_mm * MM)
+                used[topics.CONTACT_POINT].publish(place)
+        carried = settings.displacement == 'windows'
+        now_us = estimates[-1].end_us if carried else tracker.frame_us
+        wanted = topics.DISPLACEMENT in used or topics.DISPLACEMENT_POINTS in used
+        if tracker.touch is None or not wanted or now_us == self._field_us:
             return
-        if wanted[0]:
-            # A located contact fills every field: no need for a new message.
-            message = self._located if found.shape is not None else Contact()
-            stamp(message, estimate.end_us, frame_id)
-            fill_contact(message, found, estimate.frame_age_us, scale, size)
-            self._contact[0].publish(message)
-        if wanted[1] and found.shape is not None:
-            place = stamp(PointStamped(), estimate.end_us, frame_id)
-            fill_point(place.point, found)
-            self._contact[1].publish(place)
-
-    def _publish_field(
-        self,
-        tracker: contact_tracking.ContactTracker,
-        stamp_us: int,
-        size: tuple[int, int],
-        frame_id: str,
-        wanted: list[bool],
-        *,
-        carried: bool,
-    ) -> None:
-        """Publish the displacement of a new frame, or carried on to the latest window."""
-        touch, scale = tracker.touch, tracker.settings.scale
-        if touch is None or stamp_us == self._field_us:
-            return
-        self._field_us = stamp_us
-        moved = metric(tracker.moved() if carried else touch.field.moved, scale)
-        if wanted[0]:
-            image = stamp(Image(), stamp_us, frame_id)
-            fill_field(image, moved)
-            self._field[0].publish(image)
-        if wanted[1]:
-            cloud = stamp(PointCloud2(), stamp_us, frame_id)
-            fill_cloud(cloud, moved, touch.field, scale, size)
-            self._field[1].publish(cloud)
+        self._field_us, field = now_us, tracker.touch.field
+        moved = metric(tracker.moved() if carried else field.moved, scale)
+        if topics.DISPLACEMENT in used:
+            image = field_image(moved)
+            used[topics.DISPLACEMENT].publish(stamp(image, now_us, frame_id))
+        if topics.DISPLACEMENT_POINTS in used:
+            cloud = field_cloud(moved, field, scale, size)
+            used[topics.DISPLACEMENT_POINTS].publish(stamp(cloud, now_us, frame_id))
 
 
 def stamp(message: Any, stamp_us: int, frame_id: str) -> Any:  # noqa: ANN401
@@ -152,35 +115,25 @@ def stamp(message: Any, stamp_us: int, frame_id: str) -> Any:  # noqa: ANN401
     Args:
         message: Any message with a header.
         stamp_us: Camera clock [us].
-        frame_id: Frame of what the message tells.
+        frame_id: Frame of the content.
     """
     message.header.stamp = us_to_stamp(stamp_us)
     message.header.frame_id = frame_id
     return message
 
 
-def fill_contact(
-    message: Contact,
-    contact: contact_tracking.Contact,
-    frame_age_us: int,
-    scale: SkinScale,
-    size: tuple[int, int],
+def fill_shape(
+    message: Contact, shape: ContactShape, scale: SkinScale, size: tuple[int, int]
 ) -> None:
-    """Write everything but the header of a contact.
+    """Write place and shape of a contact to a message.
 
     Args:
         message: Written to.
-        contact: What is written.
-        frame_age_us: From the centre of the latest frame's exposure to the stamp [us].
+        shape: Place and shape.
         scale: Of the skin in the picture.
         size: Columns and rows of the camera's image [px].
     """
-    shape = contact.shape
-    message.in_contact, message.located = contact.touching, shape is not None
-    message.frame_age = frame_age_us * 1e-6
-    if shape is None:
-        return
-    fill_point(message.position, contact)
+    message.position = Point(x=shape.x_mm * MM, y=shape.y_mm * MM)
     message.position_deviation = shape.deviation_mm * MM
     message.area = shape.area_mm2 * MM**2
     message.area_deviation = shape.area_deviation_mm2 * MM**2
@@ -192,12 +145,6 @@ def fill_contact(
     message.scale = scale.px_per_mm / MM
 
 
-def fill_point(point: Any, contact: contact_tracking.Contact) -> None:  # noqa: ANN401
-    """Write the place of a located contact to a `geometry_msgs/Point`."""
-    assert contact.shape is not None  # noqa: S101  (the caller has looked)
-    point.x, point.y, point.z = contact.shape.x_mm * MM, contact.shape.y_mm * MM, 0.0
-
-
 def metric(moved: F32, scale: SkinScale) -> F32:
     """Return a displacement in the image [2, rows, columns] [px] in the contact frame [m]."""
     per_px = MM / scale.px_per_mm
@@ -205,40 +152,39 @@ def metric(moved: F32, scale: SkinScale) -> F32:
     return np.asarray(moved * signs, np.float32)
 
 
-def fill_field(message: Image, moved: F32) -> None:
-    """Write a displacement [m] to an image as 32FC2; rows as in the camera's image."""
-    message.height, message.width = moved.shape[1:]
-    message.encoding, message.is_bigendian = '32FC2', 0
-    message.step = 8 * moved.shape[2]
-    message.data = array.array('B', np.ascontiguousarray(moved.transpose(1, 2, 0)).tobytes())
+def field_image(moved: F32) -> Image:
+    """Return a displacement [m] as an image of 32FC2; rows as in the camera's image."""
+    height, width = moved.shape[1:]
+    data = array.array('B', np.ascontiguousarray(moved.transpose(1, 2, 0)).tobytes())
+    return Image(height=height, width=width, encoding='32FC2', step=8 * width, data=data)
 
 
-def fill_cloud(
-    message: PointCloud2,
-    moved: F32,
-    field: DisplacementField,
-    scale: SkinScale,
-    size: tuple[int, int],
-) -> None:
-    """Write a displacement to a cloud with the fields `CLOUD_FIELDS`.
+def field_cloud(
+    moved: F32, field: DisplacementField, scale: SkinScale, size: tuple[int, int]
+) -> PointCloud2:
+    """Return a displacement as a cloud with the fields `CLOUD_FIELDS`.
 
     Args:
-        message: Written to.
         moved: Displacement [m], float32 [2, rows, columns].
-        field: Whose places and confidence.
+        field: Its places and confidence.
         scale: Of the skin in the picture.
         size: Columns and rows of the camera's image [px].
     """
-    shape = moved.shape[1], moved.shape[2]
-    places = MM * field_places(shape, field.spacing_px, scale, size)
-    flat = np.zeros_like(places[:1])
-    points = np.concatenate([places, flat, moved, field.confidence()[None]])
-    message.height, message.width = shape
-    message.fields = [
+    height, width = moved.shape[1], moved.shape[2]
+    places = MM * field_places((height, width), field.spacing_px, scale, size)
+    points = np.concatenate([places, np.zeros_like(places[:1]), moved, field.confidence()[None]])
+    fields = [
         PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
         for index, name in enumerate(CLOUD_FIELDS)
     ]
-    message.point_step = 4 * len(CLOUD_FIELDS)
-    message.row_step, message.is_dense = message.point_step * shape[1], True
+    step = 4 * len(CLOUD_FIELDS)
     data = np.ascontiguousarray(points.transpose(1, 2, 0), np.float32)
-    message.data = array.array('B', data.tobytes())
+    return PointCloud2(
+        height=height,
+        width=width,
+        fields=fields,
+        point_step=step,
+        row_step=step * width,
+        is_dense=True,
+        data=array.array('B', data.tobytes()),
+    )

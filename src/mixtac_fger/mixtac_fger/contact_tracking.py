@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -87,18 +87,6 @@ class ContactSettings:
     off_n: float = 0.02
     object_radius: float = 0.0
     scale: SkinScale = field(default_factory=SkinScale)
-
-
-@runtime_checkable
-class FindsContact(Protocol):
-    """What an estimator has besides whose frames tell where the contact is."""
-
-    @property
-    def flow(self) -> F32:
-        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
-
-    def find_contacts(self, scale: SkinScale | None) -> None:
-        """Measure displacement and contact of frames from now on; None ends it."""
 
 
 class Touch(NamedTuple):
@@ -220,8 +208,8 @@ class ContactTracker:
     """Follows the contact of a stream, window by window.
 
     Args:
-        settings: May be replaced at any time by the attribute of this name.
-        finder: The estimator whose frames tell, and whose flow is that of the latest window.
+        settings: How contacts are found.
+        grid: Rows and columns of the event grid.
 
     Attributes:
         settings: As given.
@@ -229,9 +217,8 @@ class ContactTracker:
         frame_us: Centre of its exposure, camera clock [us].
     """
 
-    def __init__(self, settings: ContactSettings, finder: FindsContact) -> None:
-        self.settings, self._finder = settings, finder
-        finder.find_contacts(settings.scale)
+    def __init__(self, settings: ContactSettings, grid: tuple[int, int]) -> None:
+        self.settings, self._grid = settings, grid
         self.touch: Touch | None = None
         self.frame_us, self._dent = 0, 0.0
         self.clear()
@@ -252,14 +239,15 @@ class ContactTracker:
             self._end()
             self._rest_n = min(max(self._force_n, -MOST_REST_N), MOST_REST_N)
 
-    def window(self, end_us: int, force: float) -> Contact:
-        """Take the window that the estimator has just taken and return the contact at its end.
+    def window(self, end_us: int, force: float, flow: F32) -> Contact:
+        """Add a window and return the contact at its end.
 
         Args:
             end_us: End of the window, camera clock [us].
             force: Normal force [N].
+            flow: Of the window, float32 [rows, columns, 2] of the event grid [px per threshold].
         """
-        self._carrier.window(end_us, self._finder.flow)
+        self._carrier.window(end_us, flow)
         self._switch(end_us, force)
         touch = self.touch
         if not self._touching or touch is None or not touch.fit.seen:
@@ -277,9 +265,8 @@ class ContactTracker:
 
     def clear(self) -> None:
         """Forget frames and contact."""
-        rows, columns = self._finder.flow.shape[:2]
         self.touch = None
-        self._carrier = FlowCarrier((rows, columns))
+        self._carrier = FlowCarrier(self._grid)
         self._start = self._carrier.until(0)
         self._touching = False
         self._since_us = 0
@@ -343,10 +330,3 @@ class ContactTracker:
             if carried[0] > 0.0 and is_sensible(carried):
                 p = carried
         return contact_shape(p, fit.covariance, self.settings.scale, self.settings.object_radius)
-
-
-def contact_tracker(settings: ContactSettings | None, estimator: object) -> ContactTracker | None:
-    """Return the tracker of an estimator; None without settings, or if its frames do not tell."""
-    if settings is None or not isinstance(estimator, FindsContact):
-        return None
-    return ContactTracker(settings, estimator)

@@ -7,27 +7,28 @@ the architecture in the weight file:
 
     'mixtac.estimators': ['my_network = my_package.live:MyEstimator']
 
-`MyEstimator(model)` takes a `mixtac_fger.weights.Model` and returns an `Estimator`.
+`MyEstimator` is an `Estimator` that is made from a `mixtac_fger.weights.Model`.
 `mixtac_fger.streaming.ForceEstimator` follows the stream and calls it.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
     from numpy.typing import NDArray
 
     from mixtac_core.events.arrays import Events
     from mixtac_fger.contact_tracking import Contact, Touch
+    from mixtac_fger.displacement import SkinScale
     from mixtac_fger.reference import Reference
     from mixtac_fger.shear import Shear
     from mixtac_fger.validity import PictureFigures
@@ -52,8 +53,7 @@ class EncodedFrame:
         contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
             not compute it, whose frames are not compared with the events.
         picture: What it has in common with the reference; None without one.
-        touch: Returns displacement of the beads and contact, which takes longer than the force:
-            called where frames are encoded, before the next. None unless asked for.
+        touch: Displacement of the beads and the contact; None unless asked for.
     """
 
     mid_us: int
@@ -62,43 +62,33 @@ class EncodedFrame:
     content: Any
     contrast: NDArray[np.float32] | None = None
     picture: PictureFigures | None = None
-    touch: Callable[[], Touch] | None = None
+    touch: Touch | None = None
 
 
-class Estimator(Protocol):
+class Estimator(ABC):
     """One architecture with its weights and its state; windows come in order of time.
 
     `encode` may be called from another thread than the rest, which belongs to one thread.
+
+    Attributes:
+        width: Columns of the sensor [px].
+        height: Rows of the sensor [px].
+        window_us: Length of a window [us]; one force per window.
+        gives_deviation: Whether `step` returns a standard deviation.
+        finds_contact: Whether encoded frames can have a `touch`.
+        force_unit: Force of what was one newton in the training [N]; not 1 after a calibration.
+        reference: The no-contact reference; None if the architecture needs none.
     """
 
-    @property
-    def width(self) -> int:
-        """Columns of the sensor [px]."""
+    width: int
+    height: int
+    window_us: int
+    gives_deviation: bool = False
+    finds_contact: bool = False
+    force_unit: float = 1.0
+    reference: Reference | None = None
 
-    @property
-    def height(self) -> int:
-        """Rows of the sensor [px]."""
-
-    @property
-    def window_us(self) -> int:
-        """Length of a window [us]; one force per window."""
-
-    @property
-    def gives_deviation(self) -> bool:
-        """Whether `step` returns a standard deviation."""
-
-    @property
-    def parameters(self) -> int:
-        """Number of trained parameters."""
-
-    @property
-    def operations(self) -> int:
-        """Floating-point operations per frame interval of 40 ms (2 per multiply-add)."""
-
-    @property
-    def reference(self) -> Reference | None:
-        """The no-contact reference; None if the architecture needs none."""
-
+    @abstractmethod
     def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
         """Return a frame as the estimator uses it; None while the reference is incomplete.
 
@@ -110,6 +100,7 @@ class Estimator(Protocol):
             ImageError: The image has another size.
         """
 
+    @abstractmethod
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate by a frame that has become available.
 
@@ -118,9 +109,11 @@ class Estimator(Protocol):
             lag: Windows between the last estimate and the centre of the exposure.
         """
 
+    @abstractmethod
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over from a frame, possibly in contact."""
 
+    @abstractmethod
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
         """Advance by one window and return the force and its standard deviation [N].
 
@@ -131,8 +124,30 @@ class Estimator(Protocol):
             end_us: End of the window, camera clock [us].
         """
 
+    @abstractmethod
     def clear(self) -> None:
         """Forget the recurrent state: no force, nothing remembered. The latest frame is kept."""
+
+    @property
+    def shear(self) -> Shear | None:
+        """Sideways force and torsion after the latest window; None where they are unknown."""
+        return None
+
+    @property
+    def flow(self) -> NDArray[np.float32]:
+        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
+        return np.zeros((1, 1, 2), np.float32)
+
+    @property
+    def hot_events(self) -> int:
+        """Events of hot pixels that were ignored so far."""
+        return 0
+
+    def find_contacts(self, scale: SkinScale | None) -> None:  # noqa: B027 - optional
+        """Measure the touch of frames from now on, where `finds_contact`; None ends it."""
+
+    def change_sensor(self) -> None:  # noqa: B027 - optional
+        """Forget what was learned about the sensor."""
 
 
 def open_estimator(model: Model) -> Estimator:
@@ -161,18 +176,6 @@ def open_estimator(model: Model) -> Estimator:
         ) from error
     estimator: Estimator = make(model)
     return estimator
-
-
-def known_shear(estimator: Estimator, gain: float) -> Shear | None:
-    """Return sideways force and torsion after the latest `step`; None where they are unknown.
-
-    Args:
-        estimator: Any; only some have an attribute `shear`.
-        gain: Of both.
-    """
-    # Called for each window: a check against a protocol would cost more than the head.
-    found: Shear | None = getattr(estimator, 'shear', None)
-    return None if found is None else found.scaled(gain)
 
 
 class Estimate(NamedTuple):
@@ -300,8 +303,8 @@ class EstimatorStatus(EstimatorCounters):
 
 SERIAL_KEY = 'sensor_serial'
 """Key in `ModelCard.training` of the camera's serial number, for a model adapted to one sensor."""
-CALIBRATED_KEY, ADAPTED_KEY = 'calibrated', 'adapted'
-"""Keys in `ModelCard.training` of how the gain of one sensor became known."""
+CALIBRATED_KEY = 'calibrated'
+"""Key in `ModelCard.training` of a calibration of the gain of one sensor."""
 
 
 @dataclass(frozen=True, slots=True)

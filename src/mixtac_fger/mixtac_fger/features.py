@@ -98,10 +98,11 @@ def _is_light(sums: F32) -> bool:
     return bool(variance < EVEN_NOISE * mean + (EVEN_SHARE * mean) ** 2)
 
 
-LARGEST_BALANCE, MOST_BALANCE = 120, 24
-"""What is kept of a balance, so that a hot pixel is heard again 0.12 s after it fell silent; and ON
-less OFF events of a pixel lately, or the reverse, beyond which it is hot: events are steps of log
-intensity, a tenth each at the least, and a bead is at most seven times darker than the gel."""
+LARGEST_BALANCE = 120
+"""Largest balance that is kept, so that a hot pixel counts again 0.12 s after it fell silent."""
+MOST_BALANCE = 24
+"""ON less OFF events of a pixel lately, or the reverse, beyond which it is hot: a bead is at most
+seven times darker than the gel, and an event is a step of a tenth at the least."""
 FADING_WINDOWS = 10
 """Windows in which every balance fades by a quarter, a part of the rows in each."""
 

@@ -19,11 +19,11 @@ that was exposed around a blow is a mixture of forces, and corrects nothing.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -39,7 +39,7 @@ from mixtac_fger.config import (
     tensor_shapes,
 )
 from mixtac_fger.contact_tracking import TouchMeter
-from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
@@ -57,35 +57,22 @@ if TYPE_CHECKING:
 
 
 SPREAD_WINDOWS = 10
-"""Windows over which the output follows a correction; half the time between two frames.
-
-On eight simulated sensors that no model was trained on, the mean change of the force at frames is
-5.0 times that between them with one window, 1.2 times with ten; the mean absolute error grows from
-0.0384 to 0.0394 N.
-"""
+"""Windows over which the output follows a correction; half the time between two frames."""
 DIVISORS = {'event.scale', 'frame.scale', 'frame.spread'}
 """Tensors by which inputs are divided."""
 BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
 but never two frames in a row."""
 UNCONFIRMED_SHARE = 0.3
-"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum.
-
-On three sensors of `paper_like` that the model was not trained on, a dynamic trial of 20 s and
-three impacts each, 68 % of the errors are within 0.24 to 0.42 of a sum between 0.2 and 2 N.
-"""
-TIMING_WINDOWS, SLOPE_WINDOWS, STEEPEST_N = 4.0, 5, 0.05
-"""Standard deviation of the time of a force, by whose change per window, in the mean of the second
-and up to the third, a force that changes is uncertain besides. Without it, on eight simulated
-sensors (`paper_like`), 50 and 75 % of the errors of forces that change by more than 4 mN in a
-window were within 1 and 1.96 deviations, of all forces 72 and 91 %.
-"""
+"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum."""
+TIMING_WINDOWS = 4.0
+"""Standard deviation of the time of a force [windows]."""
+SLOPE_WINDOWS = 5
+"""Windows over which the slope of the force is averaged."""
+STEEPEST_N = 0.05
+"""Largest slope that counts [N per window]."""
 REST_DEVIATION = 0.003
-"""Standard deviation of the force of a sensor at rest [N], for a gel of usual stiffness.
-
-What the network tells for a force of nothing is less, and no gain is part of it. On eight simulated
-sensors (`paper_like`), 68 % of the errors where nothing touches are within 3.1 mN, 95 % within 15.
-"""
+"""Standard deviation of the force of a sensor at rest, for a gel of usual stiffness [N]."""
 SPREAD_DEVIATIONS = 3.0
 """Standard deviations of the force beyond which a correction is applied at once."""
 
@@ -224,12 +211,9 @@ class Vibration:
 
 
 CALIBRATED_DEVIATION = 0.3
-"""Factor of the network's deviations in a model whose gain has become known; what is added stays.
+"""Factor of the network's deviations once the gain of the sensor is known.
 
-The deviations of a model for unknown sensors contain that nobody knows their stiffness. On eight
-simulated sensors (`paper_like`) with one gain each from a press, 70 and 93 % of the errors in
-presses, vibrations, impacts, handling, slides and knocks lie within what is left and 1.96 times it.
-The sensors are none that it is judged on.
+The deviations of a model for unknown sensors include their unknown stiffness.
 """
 
 
@@ -249,9 +233,7 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     Raises:
         ModelError: The gain is no such number, or as `checked_config`.
     """
-    if not 0.0 < gain < float('inf'):
-        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
-    unit = gain * checked_config(model).force_unit
+    unit = gain * _checked(model, gain).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
     for layer in ('increment.2', 'correction.2', 'frame.head'):
         for kind in ('weight', 'bias'):
@@ -277,30 +259,42 @@ def with_sideways_gain(model: Model, gain: float) -> Model:
         ModelError: The gain is no such number, the model knows no sideways force, or as
             `checked_config`.
     """
-    if not 0.0 < gain < float('inf'):
-        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
-    if not checked_config(model).shear:
+    if not _checked(model, gain).shear:
         raise ModelError('the model gives no sideways force', remedy=MODEL_REMEDY)
     unit = model.tensors['shear.unit'] * np.float32(gain)
     return replace(model, tensors={**model.tensors, 'shear.unit': unit})
 
 
-class FgerEstimator:
-    """FGER-Net with its state; see `mixtac_fger.estimator.Estimator`.
+def _checked(model: Model, gain: float) -> FgerConfig:
+    if not 0.0 < gain < float('inf'):
+        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
+    return checked_config(model)
+
+
+class FgerEstimator(Estimator):
+    """FGER-Net with its state.
 
     Args:
         model: Weights are copied.
 
     Attributes:
         config: Network configuration.
-        reference: The no-contact reference.
+        parameters: Number of trained parameters.
+        operations: Floating-point operations per frame interval of 40 ms (2 per multiply-add).
 
     Raises:
         ModelError: As `checked_config`.
     """
 
+    finds_contact = True
+    reference: Reference
+
     def __init__(self, model: Model) -> None:
         self.config = config = checked_config(model)
+        self.width, self.height, self.window_us = config.width, config.height, config.window_us
+        self.force_unit = config.force_unit
+        self.gives_deviation = config.deviation_size > 0
+        self.parameters, self.operations = count_parameters(config), operations_per_cycle(config)
         self.reference = Reference(config)
         self._weights = frame_weights(model.tensors, config)
         self._maps = frame_maps(config)
@@ -320,44 +314,9 @@ class FgerEstimator:
         self._shear = ShearHead(config, model.tensors) if config.shear else None
 
     @property
-    def width(self) -> int:
-        """Columns of the sensor [px]."""
-        return self.config.width
-
-    @property
-    def height(self) -> int:
-        """Rows of the sensor [px]."""
-        return self.config.height
-
-    @property
-    def window_us(self) -> int:
-        """Length of a window [us]."""
-        return self.config.window_us
-
-    @property
-    def force_unit(self) -> float:
-        """Force of what was one newton in the training [N]; see `FgerConfig`."""
-        return self.config.force_unit
-
-    @property
     def hot_events(self) -> int:
         """Events of hot pixels, which are ignored, so far."""
         return self._window_features.ignored
-
-    @property
-    def gives_deviation(self) -> bool:
-        """Whether the model has an uncertainty head."""
-        return self.config.deviation_size > 0
-
-    @property
-    def parameters(self) -> int:
-        """Number of trained parameters."""
-        return count_parameters(self.config)
-
-    @property
-    def operations(self) -> int:
-        """Floating-point operations per frame interval of 40 ms."""
-        return operations_per_cycle(self.config)
 
     @property
     def flow(self) -> NDArray[np.float32]:
@@ -366,8 +325,7 @@ class FgerEstimator:
 
     def find_contacts(self, scale: SkinScale | None) -> None:
         """Measure displacement and contact of frames from now on; None ends it."""
-        with self._encoding:
-            self._touch = None if scale is None else TouchMeter(self.config, scale)
+        self._touch = None if scale is None else TouchMeter(self.config, scale)
 
     @property
     def shear(self) -> Shear | None:
@@ -395,8 +353,11 @@ class FgerEstimator:
             shear = None if self._shear is None else self._shear.measure(feature)
             content = _Content(feature, guide, shear)
             coarse = contrast.coarse
-            meter = self._touch
-            touch = None if meter is None else partial(meter.measure, reference, coarse)
+            touch, meter = None, self._touch
+            if meter is not None:
+                # A contact that cannot be found costs no force.
+                with contextlib.suppress(np.linalg.LinAlgError):
+                    touch = meter.measure(reference, coarse)
             return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:

@@ -79,8 +79,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
         self.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
-        self._info: object | None = None
-        self._ask_camera()
+        self.subscribe_topic(topics.CAMERA_INFO, self._on_camera_info)
 
     def check(self) -> None:
         """Configure and activate the node once, with `autostart`, unless somebody has already.
@@ -99,11 +98,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load and check the model and the reference, compile what runs in real time."""
-        self._ask_camera()
         settings = self._settings
         try:
-            path = find_model(settings.model)
-            model = read_model(path)
+            model = read_model(find_model(settings.model))
             estimator = open_estimator(model)
             check_camera(estimator, model.card, self._camera)
             self._reference = stored_reference(
@@ -138,12 +135,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._trusted = None
         if self._reference is not None and self._estimator.reference is not None:
             self._estimator.reference.use(self._reference)
-        contact = settings.contact_settings(*self._lens) if self._outputs.offered else None
-        options = settings.estimator_options()
-        self._feed = LiveFeed(
-            ForceEstimator(self._estimator, background_frames=True, contact=contact, **options),
-            deadline_s=settings.deadline,
-        )
+        options = settings.estimator_options() | {'assume_free': settings.assume_free}
+        estimator = ForceEstimator(self._estimator, background_frames=True, **options)
+        if settings.contact or settings.displacement != 'off':
+            estimator.use_contact(settings.contact_settings(*self._lens))
+        self._feed = LiveFeed(estimator, deadline_s=settings.deadline)
         freeze_loaded()
         compressed = settings.image_transport == 'compressed'
         frames = topics.IMAGE_COMPRESSED if compressed else topics.IMAGE_RAW
@@ -221,54 +217,40 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             read_model(find_model(wanted.model))
         if wanted.reference != before.reference:
             state_file(wanted.reference or 'none')
-            if self._estimator is not None:
-                name = _reference_file(wanted, self._camera.serial)
-                self._reference = stored_reference(name, self._estimator.reference)
-            if self._feed is not None and self._reference is not None:
-                self._feed.estimator.use_reference(self._reference)
+            self._load_reference(wanted)
         if self._feed is not None:
-            estimator = self._feed.estimator
-            estimator.force_scale = wanted.force_scale
-            estimator.sideways_scale = wanted.sideways_scale
-            estimator.contact_threshold_n = wanted.contact_threshold
-            estimator.tare_on_release = wanted.tare_on_release
-            estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
-            estimator.stale_frame_us = round(wanted.stale_frame_age * 1e6)
             self._feed.deadline_s = wanted.deadline
+            for name, value in wanted.estimator_options().items():
+                setattr(self._feed.estimator, name, value)
         self._message = topics.WrenchWriter(wanted.frame_id)
         self._settings = wanted
 
-    def _ask_camera(self) -> None:
-        if self._info is None:
-            self._info = self.subscribe_topic(topics.CAMERA_INFO, self._on_camera_info)
-
     def _on_camera_info(self, info: CameraInfo) -> None:
-        whole = (0, 0, info.width, info.height), (0, 0, 0, 0)
         region = info.roi
         part = (region.x_offset, region.y_offset, region.width, region.height)
-        before = self._lens
+        cut = max(info.binning_x, info.binning_y) > 1 or part not in {
+            (0, 0, info.width, info.height),
+            (0, 0, 0, 0),
+        }
         focal, column, row = map(float, (info.k[0], info.k[2], info.k[5]))
-        # Whose axis is far from the middle is no calibration.
-        middle = abs(4.0 * column - 2.0 * info.width) < info.width
-        middle &= abs(4.0 * row - 2.0 * info.height) < info.height
-        if 0.0 < focal < math.inf and middle:
-            self._lens = focal, (column, row)
-        if self._lens != before and self._feed is not None:
-            self._feed.estimator.use_contact(self._settings.contact_settings(*self._lens))
-        cut = max(info.binning_x, info.binning_y) > 1 or part not in whole
-        self._take(replace(self._camera, width=info.width, height=info.height, cut=cut))
+        lens = focal, (column, row)
+        if 0.0 < focal < math.inf and lens != self._lens:
+            self._lens = lens
+            if self._feed is not None and self._feed.estimator.contact is not None:
+                self._feed.estimator.use_contact(self._settings.contact_settings(*lens))
+        self._check_camera(replace(self._camera, width=info.width, height=info.height, cut=cut))
 
     def _on_clock(self, message: TimeReference) -> None:
-        self._take(replace(self._camera, serial=message.source))
+        self._check_camera(replace(self._camera, serial=message.source))
 
-    def _take(self, camera: CameraFacts) -> None:
+    def _check_camera(self, camera: CameraFacts) -> None:
         if camera == self._camera:
             return
         before, self._camera = self._camera, camera
         if self._model is None or self._estimator is None:
             return
         if camera.serial != before.serial:
-            self._know_serial(before.serial)
+            self._use_reference_of(before.serial)
         try:
             check_camera(self._estimator, self._model.card, camera)
             self._misfit = ''
@@ -276,26 +258,30 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             self._misfit = str(error)
             self.get_logger().error(self._misfit)
 
-    def _know_serial(self, before: str) -> None:
-        """Use the kept reference of a camera that was not known before; forget another's."""
-        feed, estimator = self._feed, self._estimator
+    def _use_reference_of(self, before: str) -> None:
+        """Use the stored reference of the connected camera; forget that of the camera before."""
         if before:
             self._trusted = self._trusted_shear = None
             self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
-            if feed is not None:
-                feed.estimator.change_camera()
-        if self._settings.reference or estimator is None:
-            return
-        self._reference = None
-        try:
-            name = _reference_file(self._settings, self._camera.serial)
-            self._reference = stored_reference(name, estimator.reference)
-        except MixtacError as error:
-            self.get_logger().warning(f'{error}')
-        if feed is not None and self._reference is not None:
-            feed.estimator.use_reference(self._reference)
+            if self._feed is not None:
+                self._feed.estimator.change_camera()
+        if not self._settings.reference:
+            self._reference = None
+            try:
+                self._load_reference(self._settings)
+            except MixtacError as error:
+                self.get_logger().warning(f'{error}')
+
+    def _load_reference(self, settings: FgerParameters) -> None:
+        """Use the stored reference from now on; raises as `stored_reference`."""
+        if self._estimator is not None:
+            name = _reference_file(settings, self._camera.serial)
+            self._reference = stored_reference(name, self._estimator.reference)
+        if self._feed is not None and self._reference is not None:
+            self._feed.estimator.use_reference(self._reference)
 
     def _on_events(self, message: bytes) -> None:
+        """Publish the forces of a packet: bytes as the middleware has them."""
         feed = self._feed
         if feed is None or self._misfit:
             return
@@ -355,18 +341,13 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         return f'; reference written to {path}'
 
     def _status(self) -> Status:
-        if self._info is not None and self._camera.width and not self._misfit:
-            # While the camera does not fit, the next information may. Here, not in its callback:
-            # an entity is not destroyed while it is being served.
-            self.destroy_subscription(self._info)
-            self._info = None
         if self._misfit:
             return Status(ERROR, self._misfit)
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
         level, message = feed_diagnosis(found)
-        values = found.values() | {'camera_checked': bool(self._camera.width)}
+        values = found.values | {'camera_checked': bool(self._camera.width)}
         return Status(level, message, values)
 
 

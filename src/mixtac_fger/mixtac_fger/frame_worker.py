@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A thread that encodes frames beside the 500 Hz step, and hands out their force first."""
+"""A thread that encodes frames beside the 500 Hz step."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import contextlib
 import queue
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from mixtac_core.node.images import ImageConversionError
 from mixtac_core.node.process import lower_priority
@@ -17,11 +17,8 @@ from mixtac_fger.features import ImageError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_fger.contact_tracking import Touch
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
-Job: TypeAlias = 'tuple[Image | Callable[[], Image], int, bool]'
-"""A frame, the centre of its exposure [us], and whether its contact is wanted."""
 UNFETCHED_FRAMES = 4
 """Encoded frames that wait to be fetched; beyond that the oldest are dropped."""
 NICENESS = 5
@@ -32,9 +29,8 @@ class FrameWorker:
     """Encodes the latest frame in the background; at most one waits, newer ones replace it.
 
     Attributes:
-        refused: Frames of a size that the model does not read.
-        problem: Why the latest of these was refused, or no contact was found in a frame.
-        felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
+        refused: Frames of a size that the model does not read, or damaged ones.
+        problem: Why the latest of these was refused.
 
     Args:
         estimator: Its `encode` is called in the thread.
@@ -42,13 +38,11 @@ class FrameWorker:
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
-        self._inbox: queue.Queue[Job | None] = queue.Queue()
+        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int] | None] = queue.Queue()
         self._outbox: deque[EncodedFrame] = deque()
         self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
-        self._replaced = self._unfetched = 0
-        self.refused = 0
+        self._replaced = self._unfetched = self.refused = 0
         self.problem = ''
-        self.felt: tuple[int, Touch] | None = None
         self._closed = False
         self._thread.start()
 
@@ -62,18 +56,18 @@ class FrameWorker:
         """Frames replaced by a newer one before they were encoded or fetched."""
         return self._replaced + self._unfetched
 
-    def push(self, image: Image | Callable[[], Image], mid_us: int, *, feels: bool = True) -> None:
-        """Take a frame, see `ForceEstimator.push_frame`; `feels` asks for its contact."""
+    def push(self, image: Image | Callable[[], Image], mid_us: int) -> None:
+        """Add a frame, see `ForceEstimator.push_frame`."""
         with contextlib.suppress(queue.Empty):
             while self._inbox.get_nowait() is not None:
                 self._inbox.task_done()
                 self._replaced += 1
-        self._inbox.put((image, mid_us, feels))
+        self._inbox.put((image, mid_us))
 
     def results(self) -> list[EncodedFrame]:
         """Return the frames encoded since the last call, oldest first."""
         found = []
-        # The thread may take one away in between, when too many wait.
+        # The thread may remove one in between, when too many wait.
         with contextlib.suppress(IndexError):
             while self._outbox:
                 found.append(self._outbox.popleft())
@@ -93,37 +87,24 @@ class FrameWorker:
     def _run(self) -> None:
         lower_priority(NICENESS)
         while (job := self._inbox.get()) is not None:
-            image, mid_us, feels = job
+            image, mid_us = job
             try:
                 encoded = self._estimator.encode(seen(image), mid_us)
             except (ImageError, ImageConversionError) as error:
                 self.refused += 1
                 self.problem = str(error)
             else:
-                if encoded is not None:
-                    # The force waits for nothing.
-                    self._hand_out(encoded)
-                    if feels:
-                        self._feel(encoded)
+                self._add(encoded)
             self._inbox.task_done()
 
-    def _feel(self, encoded: EncodedFrame) -> None:
-        try:
-            self.felt = feel(encoded) or self.felt
-        except Exception as error:  # noqa: BLE001 - a contact that cannot be found costs no force
-            self.problem = f'the contact cannot be found ({error!r})'
-
-    def _hand_out(self, frame: EncodedFrame) -> None:
+    def _add(self, frame: EncodedFrame | None) -> None:
+        if frame is None:
+            return
         with contextlib.suppress(IndexError):
             while len(self._outbox) >= UNFETCHED_FRAMES:
                 self._outbox.popleft()
                 self._unfetched += 1
         self._outbox.append(frame)
-
-
-def feel(frame: EncodedFrame) -> tuple[int, Touch] | None:
-    """Return the centre of the exposure [us] and the contact; None if that was not asked for."""
-    return None if frame.touch is None else (frame.mid_us, frame.touch())
 
 
 def seen(image: Image | Callable[[], Image]) -> Image:

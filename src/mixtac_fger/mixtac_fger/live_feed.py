@@ -5,11 +5,9 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import partial
-from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mixtac_core.events.codec import PacketMessage, decode_message
 from mixtac_core.events.packets import CodecError
@@ -25,10 +23,6 @@ if TYPE_CHECKING:
     from mixtac_fger.streaming import ForceEstimator
 
 
-LONGEST_GAP_US = 10_000_000
-"""Longest gap between frames in which missing ones are counted [us]."""
-FEWEST_INTERVALS = 5
-"""Intervals between frames from which the usual one is known."""
 COMPARABLE_NS = 10_000_000_000
 """Ages beyond this, or below zero, come from replayed stamps or another host's clock [ns]."""
 WATCHED = {
@@ -45,60 +39,25 @@ WATCHED = {
     'slow_windows': 'windows that took longer to compute than they last',
     'frames_off_clock': 'frames whose time does not match the events',
     'frames_dropped': 'frames dropped',
-    'frames_missing': 'frames lost on the way',
 }
 """Counters whose rise is a warning, and what each counts."""
 MOST_DRIFT_N = 0.05
 """Drift of the zero beyond which a tare is due [N]."""
 
 
-class FrameCounter:
-    """Counts frames that never came, by the times of those that did.
-
-    Attributes:
-        missing: Frames missing between the others, at the interval that most of the latest have.
-    """
-
-    def __init__(self) -> None:
-        self.missing = 0
-        self._latest_us: int | None = None
-        self._intervals: deque[int] = deque(maxlen=15)
-
-    def take(self, mid_us: int) -> None:
-        """Count a frame.
-
-        Args:
-            mid_us: Centre of its exposure, camera clock [us].
-        """
-        before, self._latest_us = self._latest_us, mid_us
-        if before is None or not 0 < mid_us - before <= LONGEST_GAP_US:
-            # A restart of the clock, or of the camera: nobody knows what was meant to come.
-            self._intervals.clear()
-            return
-        self._intervals.append(mid_us - before)
-        if len(self._intervals) >= FEWEST_INTERVALS:
-            self.missing += max(0, round((mid_us - before) / median(self._intervals)) - 1)
-
-
-@dataclass(frozen=True, slots=True)
-class FeedStatus:
+class FeedStatus(NamedTuple):
     """Status of the estimator, and losses and times on the way to it.
 
     Attributes:
         estimator: Status of the estimator.
         rate_hz: Forces per second since the previous status.
-        step_p50_ms: Median computing time of a window, including decoding.
-        step_p99_ms: 99th percentile of it.
-        age_p50_ms: Median time from the arrival of a packet at the host to the publication of the
-            forces it completes; NaN if the clocks cannot be compared.
-        age_p99_ms: 99th percentile of it.
-        late: Forces published later than the deadline after that arrival.
-        slow_windows: Windows that took longer to compute than they last.
-        lost_packets: Event packets missing by their sequence numbers.
-        repeated_packets: Packets ignored because they came twice.
-        publisher_restarts: Times the sequence numbers went back.
-        bad_messages: Packets and images that could not be read.
-        frames_missing: Frames that never came, by the times of those that did.
+        values: All figures by name, for /diagnostics: those of the estimator and, over the latest
+            values, `step_p50_ms` and `step_p99_ms`, the computing time of a window with decoding;
+            `age_p50_ms` and `age_p99_ms`, the time from the arrival of a packet at the host to the
+            publication of its forces, NaN if the clocks cannot be compared. Counters: `late` and
+            `slow_windows`, forces after the deadline and windows that took longer to compute than
+            they last; `lost_packets`, `repeated_packets`, `publisher_restarts` by the sequence
+            numbers; `bad_messages` that could not be read.
         problem: Why the latest message or frame since the previous status was refused; empty if
             none was.
         lately: Counters that rose since the previous status, a part of `WATCHED`.
@@ -106,25 +65,9 @@ class FeedStatus:
 
     estimator: EstimatorStatus
     rate_hz: float
-    step_p50_ms: float
-    step_p99_ms: float
-    age_p50_ms: float
-    age_p99_ms: float
-    late: int
-    slow_windows: int
-    lost_packets: int
-    repeated_packets: int
-    publisher_restarts: int
-    bad_messages: int
-    frames_missing: int
+    values: dict[str, Any]
     problem: str
     lately: dict[str, int]
-
-    def values(self) -> dict[str, Any]:
-        """Return everything by name, for /diagnostics."""
-        own = asdict(self)
-        del own['lately']
-        return {**own.pop('estimator'), **own}
 
 
 class LiveFeed:
@@ -144,7 +87,6 @@ class LiveFeed:
         self.estimator = estimator
         self.deadline_s = deadline_s
         self._sequence = SequenceCounter()
-        self._frames = FrameCounter()
         self._late = self._slow = self._bad_messages = 0
         self._missing = False
         self._before = dict.fromkeys(WATCHED, 0)
@@ -153,7 +95,7 @@ class LiveFeed:
         self._durations, self._ages = RecentValues(), RecentValues()
 
     def packet(self, message: PacketMessage) -> list[Estimate]:
-        """Take an event packet and return the forces of the windows that it closes."""
+        """Return the forces of the windows that an event packet closes."""
         started = time.perf_counter()
         repeated = self._sequence.repeated
         self._sequence.update(message.seq)
@@ -202,14 +144,13 @@ class LiveFeed:
                 self._late += count
 
     def image(self, message: Any, mid_us: int) -> None:  # noqa: ANN401
-        """Take an image; colours become grey.
+        """Push an image to the estimator; colours become grey.
 
         Args:
             message: A `sensor_msgs/Image`, or a `sensor_msgs/CompressedImage`, which is decoded
                 where frames are encoded; its data must not be changed afterwards.
             mid_us: Centre of the exposure, camera clock [us].
         """
-        self._frames.take(mid_us)
         compressed = hasattr(message, 'format')
         try:
             image: Any = partial(decompress_grey, message) if compressed else grey(message)
@@ -220,28 +161,27 @@ class LiveFeed:
 
     def status(self) -> FeedStatus:
         """Return the figures; rate and `lately` cover the time since the previous call."""
-        estimator = self.estimator.status()
+        estimator, rate_hz = self.estimator.status(), self._rate.read(time.monotonic())
         problem, self._problem = self._problem, ''
-        if estimator.bad_frames > self._before['bad_frames']:
+        values = asdict(estimator) | {
+            'rate_hz': rate_hz,
+            'step_p50_ms': self._durations.quantile(0.5),
+            'step_p99_ms': self._durations.quantile(0.99),
+            'age_p50_ms': self._ages.quantile(0.5),
+            'age_p99_ms': self._ages.quantile(0.99),
+            'late': self._late,
+            'slow_windows': self._slow,
+            'lost_packets': self._sequence.lost,
+            'repeated_packets': self._sequence.repeated,
+            'publisher_restarts': self._sequence.restarts,
+            'bad_messages': self._bad_messages,
+        }
+        now, before = {name: int(values[name]) for name in WATCHED}, self._before
+        self._before = now
+        lately = {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
+        if 'bad_frames' in lately:
             problem = problem or self.estimator.frame_problem
-        found = FeedStatus(
-            estimator=estimator,
-            rate_hz=self._rate.read(time.monotonic()),
-            step_p50_ms=self._durations.quantile(0.5),
-            step_p99_ms=self._durations.quantile(0.99),
-            age_p50_ms=self._ages.quantile(0.5),
-            age_p99_ms=self._ages.quantile(0.99),
-            late=self._late,
-            slow_windows=self._slow,
-            lost_packets=self._sequence.lost,
-            repeated_packets=self._sequence.repeated,
-            publisher_restarts=self._sequence.restarts,
-            bad_messages=self._bad_messages,
-            frames_missing=self._frames.missing,
-            problem=problem,
-            lately={},
-        )
-        return replace(found, lately=self._risen(found))
+        return FeedStatus(estimator, rate_hz, values | {'problem': problem}, problem, lately)
 
     def close(self) -> None:
         """End the estimator's thread."""
@@ -255,12 +195,6 @@ class LiveFeed:
                 f' {wanted[0]} x {wanted[1]}'
             )
         return decode_message(message)
-
-    def _risen(self, found: FeedStatus) -> dict[str, int]:
-        values = found.values()
-        now = {name: int(values[name]) for name in WATCHED}
-        before, self._before = self._before, now
-        return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
 
 
 def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:

@@ -105,29 +105,32 @@ def contact_of(found: F32 | F64, shape: tuple[int, int]) -> tuple[float, float]:
     return min(max(right, 0.0), columns - 1.0), min(max(below, 0.0), rows - 1.0)
 
 
-def moments_of_cells(
-    contact: tuple[float, float], shape: tuple[int, int], grid: tuple[int, int]
-) -> F64:
-    """Return what the displacements x and y of each cell of a grid add to the moments.
+@njit(cache=True, nogil=True)
+def moments_of_cells(contact: tuple[float, float], shape: tuple[int, int], out: F64) -> None:
+    """Write what the displacements x and y of each cell of a grid add to the moments.
 
     Args:
         contact: Column and row of the contact [bins].
-        shape: Rows and columns of the displacement.
-        grid: Rows and columns of the grid, whose cells divide it evenly.
-
-    Returns:
-        float64 [`MOMENTS`, grid rows, grid columns, 2], y downwards.
+        shape: Rows and columns of the displacement, which the cells divide evenly.
+        out: float64 [`MOMENTS`, grid rows, grid columns, 2], y downwards.
     """
-    rows, columns = shape
-    bins = rows * columns / (grid[0] * grid[1])
-    down, across = ((np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(grid, shape, strict=True))
-    x, y = across[None] - contact[0], down[:, None] - contact[1]
-    out = np.zeros((MOMENTS, *grid, 2))
-    for index, width in enumerate(TURNING_WIDTHS):
-        near = bins * np.exp(-0.5 * (x**2 + y**2) / width**2)
-        out[MOMENTS - len(TURNING_WIDTHS) + index] = np.stack([near * y, -near * x], -1) / width**2
-    out[0] = np.stack([near * x, near * y], -1) / width**2
-    out[1, ..., 0], out[2, ..., 1] = near / width, -near / width
-    out[3] = out[0] * (contact[0] - 0.5 * (columns - 1)) / width
-    out[4] = -out[0] * (contact[1] - 0.5 * (rows - 1)) / width
-    return out
+    rows, columns = out.shape[1:3]
+    bins = shape[0] * shape[1] / (rows * columns)
+    lean_x, lean_y = contact[0] - 0.5 * (shape[1] - 1), contact[1] - 0.5 * (shape[0] - 1)
+    out[:] = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            cell = out[:, row, column]
+            x = (column + 0.5) * shape[1] / columns - 0.5 - contact[0]
+            y = (row + 0.5) * shape[0] / rows - 0.5 - contact[1]
+            near, width = 0.0, 1.0
+            for index in range(len(TURNING_WIDTHS)):
+                width = TURNING_WIDTHS[index]
+                near = bins * np.exp(-0.5 * (x * x + y * y) / width**2)
+                turn = cell[MOMENTS - len(TURNING_WIDTHS) + index]
+                turn[0], turn[1] = near * y / width**2, -near * x / width**2
+            cell[0, 0], cell[0, 1] = near * x / width**2, near * y / width**2
+            cell[1, 0], cell[2, 1] = near / width, -near / width
+            for axis in range(2):
+                cell[3, axis] = cell[0, axis] * lean_x / width
+                cell[4, axis] = -cell[0, axis] * lean_y / width

@@ -111,13 +111,12 @@ class FgerParameters:
         return ContactSettings(self.contact_on, self.contact_off, self.object_radius, scale)
 
     def estimator_options(self) -> dict[str, Any]:
-        """Return the options of `mixtac_fger.streaming.ForceEstimator`, by name."""
+        """Return the settings of a `ForceEstimator` that may change while it runs, by name."""
         return {
             'force_scale': self.force_scale,
             'sideways_scale': self.sideways_scale,
             'contact_threshold_n': self.contact_threshold,
             'longest_without_frame_us': round(self.longest_without_frame * 1e6),
             'stale_frame_us': round(self.stale_frame_age * 1e6),
-            'assume_free': self.assume_free,
             'tare_on_release': self.tare_on_release,
         }

@@ -46,13 +46,22 @@ class StepWeights(NamedTuple):
     context: F32
 
 
-class CorrectionWeights(NamedTuple):
-    """Weights of MLP_corr, float32, matrices as [inputs, outputs]."""
+class HeadWeights(NamedTuple):
+    """Weights of a network of two layers with one output, float32.
+
+    Attributes:
+        hidden: [inputs, width].
+        hidden_bias: [width].
+        output: [width].
+        output_bias: One element.
+        scale: Factor of the output, one element.
+    """
 
     hidden: F32
     hidden_bias: F32
     output: F32
     output_bias: F32
+    scale: F32
 
 
 class StepState(NamedTuple):
@@ -108,14 +117,27 @@ def step_weights(tensors: Tensors) -> StepWeights:
     )
 
 
-def correction_weights(tensors: Tensors) -> CorrectionWeights:
-    """Return copies of MLP_corr's weights in the layout of the compiled step."""
-    return CorrectionWeights(
-        copied(tensors['correction.0.weight'].T),
-        copied(tensors['correction.0.bias']),
-        copied(tensors['correction.2.weight'][0]),
-        copied(tensors['correction.2.bias']),
+def head_weights(tensors: Tensors, first: str, second: str, scale: str = '') -> HeadWeights:
+    """Return copies of a head's weights in the layout of the compiled step.
+
+    Args:
+        tensors: Of a weight file.
+        first: Name of the first layer.
+        second: Name of the second layer.
+        scale: Name of the scale; empty for 1.
+    """
+    return HeadWeights(
+        copied(tensors[f'{first}.weight'].T),
+        copied(tensors[f'{first}.bias']),
+        copied(tensors[f'{second}.weight'][0]),
+        copied(tensors[f'{second}.bias']),
+        copied(tensors[scale] if scale else np.ones(1)),
     )
+
+
+def deviation_weights(tensors: Tensors) -> HeadWeights:
+    """Return the weights of `deviation`."""
+    return head_weights(tensors, 'deviation.hidden', 'deviation.output', 'deviation.scale')
 
 
 FAST_INCREMENT = 0.1
@@ -222,7 +244,7 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
 
 
 @njit(cache=True, nogil=True)
-def correction(force: float, frame_feature: F32, weights: CorrectionWeights) -> Any:  # noqa: ANN401
+def correction(force: float, frame_feature: F32, weights: HeadWeights) -> Any:  # noqa: ANN401
     """Return MLP_corr of an estimate [N] and a frame feature: the correction [N]."""
     total = weights.output_bias[0]
     for column in range(weights.hidden.shape[1]):
@@ -233,41 +255,8 @@ def correction(force: float, frame_feature: F32, weights: CorrectionWeights) -> 
     return total
 
 
-class DeviationWeights(NamedTuple):
-    """Weights of the head, float32.
-
-    Attributes:
-        hidden: [lstm_size + 2, width]; the last two rows belong to force and moved.
-        hidden_bias: [width].
-        output: [width].
-        output_bias: One element.
-        scale: One element.
-        middle: Scratch, [width].
-    """
-
-    hidden: F32
-    hidden_bias: F32
-    output: F32
-    output_bias: F32
-    scale: F32
-    middle: F32
-
-
-def deviation_weights(tensors: Tensors) -> DeviationWeights:
-    """Return copies of the head's weights in the layout of the compiled step."""
-    bias = copied(tensors['deviation.hidden.bias'])
-    return DeviationWeights(
-        copied(tensors['deviation.hidden.weight'].T),
-        bias,
-        copied(tensors['deviation.output.weight'][0]),
-        copied(tensors['deviation.output.bias']),
-        copied(tensors['deviation.scale']),
-        np.zeros_like(bias),
-    )
-
-
 @njit(cache=True, nogil=True)
-def deviation(state: F32, force: float, moved: float, weights: DeviationWeights) -> Any:  # noqa: ANN401
+def deviation(state: F32, force: float, moved: float, weights: HeadWeights) -> Any:  # noqa: ANN401
     """Return the standard deviation [N] of a force.
 
     Args:
@@ -276,20 +265,13 @@ def deviation(state: F32, force: float, moved: float, weights: DeviationWeights)
         moved: Size of the sum of the increments that no frame has confirmed yet [N].
         weights: Weights of the deviation head.
     """
-    size = state.shape[0]
-    middle = weights.middle
-    for column in range(middle.shape[0]):
-        middle[column] = (
-            weights.hidden_bias[column]
-            + np.float32(force) * weights.hidden[-2, column]
-            + np.float32(moved) * weights.hidden[-1, column]
-        )
-    for row in range(size):
-        for column in range(middle.shape[0]):
-            middle[column] += state[row] * weights.hidden[row, column]
     total = weights.output_bias[0]
-    for column in range(middle.shape[0]):
-        total += max(middle[column], np.float32(0.0)) * weights.output[column]
+    for column in range(weights.hidden.shape[1]):
+        value = weights.hidden_bias[column] + np.float32(force) * weights.hidden[-2, column]
+        value += np.float32(moved) * weights.hidden[-1, column]
+        for row in range(state.shape[0]):
+            value += state[row] * weights.hidden[row, column]
+        total += max(value, np.float32(0.0)) * weights.output[column]
     bounded = min(max(total, np.float32(LOWEST_LOG_DEVIATION)), np.float32(HIGHEST_LOG_DEVIATION))
     return weights.scale[0] * np.exp(bounded)
 
@@ -382,7 +364,7 @@ class RecurrentPath:
         self._config = config
         self._event_shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
         self._weights = step_weights(tensors)
-        self._correction = correction_weights(tensors)
+        self._correction = head_weights(tensors, 'correction.0', 'correction.2')
         self._deviation = deviation_weights(tensors) if config.deviation_size else None
         self._state = step_state(self._weights, config.force_unit)
         self._history = np.zeros(config.history_windows, np.float32)

@@ -33,13 +33,12 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode, encode
 from mixtac_core.events.sequence import Arrival, StreamTime
 from mixtac_core.events.windows import WindowSlicer
-from mixtac_fger import validity
-from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
-from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
+from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
+from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import correction_lag
-from mixtac_fger.frame_worker import FrameWorker, feel, seen
+from mixtac_fger.frame_worker import FrameWorker, seen
 from mixtac_fger.reference import Reference, TareError
-from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
+from mixtac_fger.validity import Reason, Validity
 from mixtac_fger.zero import Zero
 
 if TYPE_CHECKING:
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_fger.contact_tracking import Touch
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
 
@@ -61,11 +59,17 @@ FRAME_AHEAD_US = 100_000
 """Frames exposed later than the events by more than this are on another clock [us]."""
 FRAME_BEHIND_US = 1_000_000
 """Frames exposed earlier than the events by more than this are too old or on another clock [us]."""
-LATE_FRAME_US, LATE_N_PER_S = 70_000, 0.8
-"""Age of the latest frame from which on the deviation grows [us], and by how much: without frames
-the force of 26 simulated trials changed by 0.08 N after 0.17 s and 0.14 N after 0.3 s."""
+LATE_FRAME_US = 70_000
+"""Age of the latest frame above which the deviation grows [us]."""
+LATE_N_PER_S = 0.8
+"""Growth of the deviation with that age [N/s]: without frames the force of 26 simulated trials
+changed by 0.08 N after 0.17 s and by 0.14 N after 0.3 s."""
 STALE_FRAME_US = 200_000
 """Default of `ForceEstimator.stale_frame_us`."""
+LOWEST_FORCE = -0.5
+"""Lowest force of training, with a margin, before `force_scale` [N]."""
+HIGHEST_FORCE = 10.0
+"""Highest force of training, with a margin, before `force_scale` [N]."""
 NO_LIMIT_US = 2**62
 
 
@@ -86,8 +90,8 @@ class ForceEstimator:
         assume_free: Nothing touches the sensor at the start. Otherwise the forces are not valid
             until the reference is a stored one or `tare` has been called.
         tare_on_release: See below.
-        contact: How contacts are found; None for no contact and no displacement, as of an
-            architecture whose frames do not tell them.
+        contact: How contacts are found; None for no contact and no displacement. Ignored for an
+            architecture that finds none.
 
     Attributes:
         contact: State and place of the contact, and the displacement of the beads; None for none.
@@ -120,13 +124,13 @@ class ForceEstimator:
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
         self._estimator, reference = estimator, estimator.reference
-        self.contact = contact_tracker(contact, estimator)
+        self.contact: ContactTracker | None = None
         self._contact_wanted = True
+        if contact is not None:
+            self.use_contact(contact)
         if reference is not None:
             reference.assume_free = assume_free
         self._width_us = estimator.window_us
-        # Of a calibrated model, whose forces are so many times those of the training.
-        self._unit = getattr(estimator, 'force_unit', 1.0)
         self._saturation = SATURATION_PER_US * estimator.window_us
         self._worker = FrameWorker(estimator) if background_frames else None
         self._slicer = WindowSlicer(estimator.window_us)
@@ -134,7 +138,6 @@ class ForceEstimator:
         self._encoded: deque[EncodedFrame] = deque()
         self._between = False
         self._frame: EncodedFrame | None = None
-        self._felt: tuple[int, Touch] | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
         self._validity = Validity(estimator.width)
         self._reason_now = Reason.TRUSTED
@@ -143,17 +146,6 @@ class ForceEstimator:
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
-
-    @property
-    def contact_wanted(self) -> bool:
-        """Whether somebody wants the contact: without, none is computed."""
-        return self._contact_wanted
-
-    @contact_wanted.setter
-    def contact_wanted(self, wanted: bool) -> None:
-        if wanted and not self._contact_wanted and self.contact is not None:
-            self.contact.clear()
-        self._contact_wanted = wanted
 
     @property
     def size(self) -> tuple[int, int]:
@@ -199,12 +191,11 @@ class ForceEstimator:
                 `EstimatorStatus.bad_frames` instead).
         """
         if self._worker is not None:
-            self._worker.push(image, mid_us, feels=self._contact_wanted)
+            self._worker.push(image, mid_us)
             return
         encoded = self._estimator.encode(seen(image), mid_us)
         if encoded is not None:
             self._keep([encoded])
-            self._felt = feel(encoded) if self._contact_wanted else None
 
     def drain(self) -> None:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
@@ -286,16 +277,24 @@ class ForceEstimator:
         """Forget the zero: another camera was connected."""
         self.reset()
         self._validity.forget()
-        # Only some estimators learn what is the sensor's.
-        getattr(self._estimator, 'change_sensor', lambda: None)()
+        self._estimator.change_sensor()
         self._other_camera = True
         if self._estimator.reference is not None:
             self._estimator.reference.assume_free = False
 
     def use_contact(self, settings: ContactSettings) -> None:
-        """Find contacts by other settings from now on, where they are found at all."""
-        if self.contact is not None:
-            self.contact = contact_tracker(settings, self._estimator)
+        """Find contacts by these settings from now on, if the architecture finds any."""
+        if self._estimator.finds_contact:
+            rows, columns = self._estimator.flow.shape[:2]
+            self.contact = ContactTracker(settings, (rows, columns))
+            self._estimator.find_contacts(settings.scale if self._contact_wanted else None)
+
+    def want_contact(self, wanted: bool) -> None:
+        """Compute contacts from now on, or none while nobody uses them."""
+        if wanted != self._contact_wanted:
+            self._contact_wanted = wanted
+            if self.contact is not None:
+                self.use_contact(self.contact.settings)
 
     def _start_over(self) -> None:
         self._forget()
@@ -322,7 +321,7 @@ class ForceEstimator:
             'gaps': time.gaps,
             'skipped_windows': time.skipped_us // self._width_us,
             'late_events': self._slicer.late_events,
-            'hot_events': getattr(self._estimator, 'hot_events', 0),
+            'hot_events': self._estimator.hot_events,
             'resets': self._count.resets + time.restarts,
         }
         return EstimatorStatus(
@@ -368,7 +367,7 @@ class ForceEstimator:
         force = self.force_scale * raw
         if spread is not None:
             late = LATE_N_PER_S * 1e-6 * max(age_us - LATE_FRAME_US, 0)
-            spread = math.hypot(spread, self._unit * late)
+            spread = math.hypot(spread, self._estimator.force_unit * late)
         deviation = None if spread is None else self.force_scale * spread
         if not math.isfinite(force if deviation is None else force + deviation):
             count.resets += 1
@@ -390,24 +389,21 @@ class ForceEstimator:
         count.invalid += reason is not Reason.TRUSTED
         found = None
         if self.contact is not None and self._contact_wanted:
-            found = self.contact.window(end_us, force)
-        shear = known_shear(self._estimator, self.force_scale * self.sideways_scale)
+            found = self.contact.window(end_us, force, self._estimator.flow)
+        shear = self._estimator.shear
+        if shear is not None:
+            shear = shear.scaled(self.force_scale * self.sideways_scale)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
     def _fetch(self) -> None:
         """Take what the frame thread has finished."""
         if self._worker is not None:
             self._keep(self._worker.results())
-            self._felt = self._worker.felt
 
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
         while self._encoded and self._due(self._encoded[0], end_us):
             self._apply(self._encoded.popleft(), end_us)
-        if self.contact is not None and self._felt is not None and self._frame is not None:
-            mid_us, touch = self._felt
-            if self.contact.frame_us != mid_us == self._frame.mid_us:
-                self.contact.frame(mid_us, touch)
 
     def _check(self, frame: EncodedFrame) -> None:
         """Check a frame, and follow the zero by it."""
@@ -427,7 +423,7 @@ class ForceEstimator:
         reason = self._validity.reason
         if reason is not Reason.TRUSTED:
             return reason
-        if not LOWEST_FORCE <= raw / self._unit <= HIGHEST_FORCE:
+        if not LOWEST_FORCE <= raw / self._estimator.force_unit <= HIGHEST_FORCE:
             return Reason.OUT_OF_RANGE
         if self._saturated:
             return Reason.SATURATED
@@ -467,6 +463,8 @@ class ForceEstimator:
             lag = correction_lag(end_us - width, frame.mid_us, width)
             self._estimator.correct(frame, lag)
         self._frame = frame
+        if self.contact is not None and frame.touch is not None:
+            self.contact.frame(frame.mid_us, frame.touch)
         self._saturated = False
         self._count.frames += 1
         if self.tare_on_release and self._zero is not None and self._zero.due:
@@ -490,6 +488,7 @@ class ForceEstimator:
 
 
 WARM_UP_START_US = 1_000_000
+WARM_UP_STEP_US = 10_000
 
 
 def warm_up(estimator: Estimator) -> list[Estimate]:
@@ -500,23 +499,19 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     Returns:
         Its estimates; none would mean that a part has not been run.
     """
-    validity.warm_up()
-    feed = ForceEstimator(estimator, contact=ContactSettings())
-    reference = estimator.reference
-    for kind in (np.uint8, np.uint16):
-        for index in range(1 if reference is None else reference.frames):
-            image = np.full((estimator.height, estimator.width), 100, kind)
-            feed.push_frame(image, WARM_UP_START_US - 1000 * index)
-    t_us = np.arange(WARM_UP_START_US + 1000, WARM_UP_START_US + 11_000, 100, dtype=np.int64)
-    zeros = np.zeros(len(t_us), np.uint16)
-    events = Events(t_us, zeros, zeros, t_us % 200 == 0)
-    packet = encode(events, complete_until=WARM_UP_START_US + 12_000)
-    # Read-only bytes, as the middleware gives them.
-    decoded = decode(
-        packet.payload.tobytes(),
-        packet.encoding,
-        packet.time_base,
-        width=estimator.width,
-        height=estimator.height,
-    )
-    return feed.push_events(decoded.events, decoded.complete_until)
+    feed, found = ForceEstimator(estimator, contact=ContactSettings()), []
+    size = feed.size
+    random, reference = np.random.default_rng(0), estimator.reference
+    for index in range(2 * (1 if reference is None else reference.frames)):
+        start_us = WARM_UP_START_US + WARM_UP_STEP_US * index
+        image = random.integers(99, 102, size[::-1]).astype((np.uint8, np.uint16)[index % 2])
+        feed.push_frame(image, start_us)
+        t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
+        zeros = np.zeros(len(t_us), np.uint16)
+        events = Events(t_us, zeros, zeros, t_us % 200 == 0)
+        packet = encode(events, complete_until=start_us + WARM_UP_STEP_US)
+        # Read-only bytes, as the middleware gives them.
+        octets, base = packet.payload.tobytes(), packet.time_base
+        decoded = decode(octets, packet.encoding, base, width=size[0], height=size[1])
+        found += feed.push_events(decoded.events, decoded.complete_until)
+    return found

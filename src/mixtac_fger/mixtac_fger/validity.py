@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a force can be trusted, and why not.
 
-Two comparisons need the pictures; both are made in 48 tiles, and both are relative to what this
-sensor shows by itself, so that neither its brightness, nor its contrast, nor its rates matter.
+Two checks use the pictures, in 48 tiles. Both compare with the noise and the pattern of this sensor
+itself, so that its brightness, its contrast and its rates do not matter.
 
-* **Picture.** A pressed gel is the gel of the reference, displaced. What is left after the
-  reference has been displaced, less the noise from frame to frame, is a small part of the pattern,
-  or less than half of what has changed. The gel is bonded at its border, so that the whole
-  picture does not move.
+* **Picture.** A pressed gel looks like the reference, displaced. The residual to the displaced
+  reference, less the noise from frame to frame, is a small part of the variance of the pattern, or
+  less than half of the change. The gel is bonded at its border, so that the whole picture does not
+  move.
 * **Events.** Where the change from one frame to the next, or the events between them, exceed their
   own noise, they correlate as those of one motion do: ON events where a pixel has become brighter.
 
-Noise is the lower envelope of what each tile shows. The mean square of a tile's 120 bins of white
+The noise of a tile is the lower envelope of its mean squares. The mean square of 120 bins of white
 noise has a standard deviation of 13 %, the envelope lies two below the mean: `SIGNAL` is four above
 it, which one tile in 30,000 exceeds by chance. A finding needs four tiles of one frame, or three
 frames of five, so that noise alone makes less than one in ten hours.
@@ -71,10 +71,6 @@ TEXTS = {
     Reason.SATURATED: 'the sensor sent more events than it can, until the next frame',
     Reason.STALE: 'the latest frame is too old',
 }
-LOWEST_FORCE = -0.5
-"""Lowest force of training, with a margin, before `force_scale` [N]."""
-HIGHEST_FORCE = 10.0
-"""Highest force of training, with a margin, before `force_scale` [N]."""
 TILE_ROWS = 6
 """Rows of tiles of a picture; a tile shows about eight beads."""
 TILE_COLUMNS = 8
@@ -82,31 +78,30 @@ TILE_COLUMNS = 8
 SPARE_TILES = 3
 """Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
 PATTERN_SHARE = 0.2
-"""Unexplained part of a tile, over the variance of its pattern, from which on the tile is unlike
-the reference: a correlation of 0.9."""
+"""Largest residual of a tile like the reference, over the variance of its pattern: a correlation
+of 0.9."""
 CHANGE_SHARE = 0.5
-"""Unexplained part of a tile, over its whole change, from which on a displacement does not explain
-the change."""
+"""Largest residual of a tile that a displacement explains, over its change."""
 MOST_SHIFT = 0.1
-"""Displacement of the whole picture from which on the camera has moved [bins of 4 px]."""
+"""Largest displacement of the whole picture while the camera is fixed [bins of 4 px]."""
 FALL = 0.2
 """Share by which a level of noise follows a lower value."""
 RISE = 0.002
 """Share by which a level of noise follows a higher value: in 20 s at 25 Hz."""
 SIGNAL = 2.0
-"""Mean square of a tile over its level of noise, from which on the tile shows more than noise."""
+"""Smallest mean square of a tile that shows more than noise, over its level of noise."""
 REST_SHARE = 0.25
 """Share of the tiles that rests in every contact."""
 STRONG = 0.3
-"""Root mean square of a tile from which on events cannot be missing, nor be alone [events/px]."""
+"""Root mean square of a tile above which frames and events must agree [events/px]."""
 ONE_WAY = 0.7
-"""ON less OFF events of a tile over all of them, below which the tile has moved to and fro."""
+"""Smallest share of ON less OFF events in all events of a tile that moved one way."""
 LEAST_AGREEMENT = 0.2
-"""Correlation of frames and events over the expected one, below which they disagree."""
+"""Smallest correlation of frames and events that agree."""
 JUDGED_FRAMES = 5
 """Frames with motion whose median agreement is judged."""
 REST_FRAMES = 25
-"""Frames without motion after which a disagreement is forgotten: frames lead the force by then."""
+"""Frames without motion after which a disagreement is forgotten."""
 HOLD_FRAMES = 5
 """Frames without a finding after which a force is trusted again."""
 KEPT_WINDOWS = 256
@@ -203,12 +198,6 @@ class PictureFigures(NamedTuple):
         return max(float(np.sort(parts)[-1 - SPARE_TILES]), self.shift / MOST_SHIFT)
 
 
-BORDER = np.pad(
-    np.zeros((TILE_ROWS - 2, TILE_COLUMNS - 2), np.bool_), 1, constant_values=True
-).ravel()
-"""Which tiles lie along the border of the picture, bool [tiles]."""
-
-
 def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
     """Compare a picture with the reference.
 
@@ -227,9 +216,10 @@ def picture_figures(reference: F32, image: F32, flow: F32) -> PictureFigures:
     shade = (tiles[0, 0] - middle(tiles[0, 0])) ** 2
     u, v = tiles[2, 0], tiles[2, 1]
     most = middle(u), middle(v)
-    shift = min(math.hypot(*most), math.hypot(middle(u[BORDER]), middle(v[BORDER])))
-    u, v = u - most[0], v - most[1]
     y, x = np.divmod(np.arange(len(u)), TILE_COLUMNS)
+    border = (x % (TILE_COLUMNS - 1) == 0) | (y % (TILE_ROWS - 1) == 0)
+    shift = min(math.hypot(*most), math.hypot(middle(u[border]), middle(v[border])))
+    u, v = u - most[0], v - most[1]
     weights = u * u + v * v
     weights /= weights.sum() + 1e-12
     away_x, away_y = x - weights @ x, y - weights @ y
@@ -389,13 +379,3 @@ def follow(level: F64, value: F64) -> F64:
     """Return a level of noise after another value, its lower envelope; float64 [tiles]."""
     share = np.where(level == 0.0, 1.0, np.where(value < level, FALL, RISE))
     return np.asarray(level + share * (value - level))
-
-
-def warm_up() -> None:
-    """Compile what a frame and a window need, so that the first one is not late."""
-    picture = np.ones((TILE_ROWS, TILE_COLUMNS), np.float32)
-    picture_figures(picture, picture, np.zeros((2, *picture.shape), np.float32))
-    none = np.zeros(1, np.uint16)
-    yes, net = np.ones(1, np.bool_), np.zeros((1, 1, 1), np.int8)
-    add_events(none, none, yes, np.int64(4), net[0])
-    sum_windows(net, yes, 1.0, picture, picture)

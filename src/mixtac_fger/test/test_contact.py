@@ -116,14 +116,8 @@ def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
     assert np.all(np.isfinite(FieldMeter(CONFIG).measure(blank, blank).moved))
 
 
-class Finder:
-    """An estimator of which a test sets the flow."""
-
-    def __init__(self):
-        self.flow = np.zeros((*GRID, 2), np.float32)
-
-    def find_contacts(self, scale):
-        self.scale = scale
+STILL = np.zeros((*GRID, 2), np.float32)
+"""Flow of a window without motion."""
 
 
 def touch_at(x, y):
@@ -145,25 +139,21 @@ def cell_flow(before, after, threshold):
 
 
 def test_events_carry_place_and_displacement_between_frames():
-    finder = Finder()
-    tracker = ContactTracker(ContactSettings(scale=SCALE), finder)
+    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
     before, after = touch_at(0.0, 0.0), touch_at(0.4, -0.2)
     tracker.frame(10_000, before)
-    still = tracker.window(12_000, 0.5)
-    finder.flow = cell_flow(before.field, after.field, 0.25)
-    moved = tracker.window(14_000, 0.5)
+    still = tracker.window(12_000, 0.5, STILL)
+    moved = tracker.window(14_000, 0.5, cell_flow(before.field, after.field, 0.25))
     assert still.shape.x_mm == pytest.approx(0.0, abs=0.02)
     assert moved.shape.x_mm == pytest.approx(0.4, abs=0.15)
     assert moved.shape.y_mm == pytest.approx(-0.2, abs=0.1)
 
 
 def test_events_carry_the_displacement_between_frames():
-    finder = Finder()
-    tracker = ContactTracker(ContactSettings(scale=SCALE), finder)
+    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
     before, after = touch_at(0.0, 0.0), pressed((0.0, 0.0), strength=0.8)
     tracker.frame(10_000, before)
-    finder.flow = cell_flow(before.field, after, 0.25)
-    tracker.window(12_000, 0.5)
+    tracker.window(12_000, 0.5, cell_flow(before.field, after, 0.25))
     error = np.abs(tracker.moved() - after.moved).mean()
     assert error < 0.5 * np.abs(before.field.moved - after.moved).mean()
 
@@ -180,25 +170,27 @@ def test_frames_tell_the_size_of_a_contrast_threshold():
 
 def touching(tracker, forces, start_us=0) -> list[bool]:
     """Return the state after each of some windows."""
-    return [tracker.window(start_us + 2000 * i, force).touching for i, force in enumerate(forces)]
+    return [
+        tracker.window(start_us + 2000 * i, force, STILL).touching for i, force in enumerate(forces)
+    ]
 
 
 def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     assert touching(tracker, [0.0, 0.2]) == [False, True]
     assert all(touching(tracker, [*np.linspace(0.2, 0.027, 100), *[0.027] * 20], 4000))
-    assert tracker.window(244_000, 0.027).shape is None
+    assert tracker.window(244_000, 0.027, STILL).shape is None
     assert not touching(tracker, [0.015] * 8, 246_000)[-1]
 
 
 def test_a_light_force_has_to_last():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     assert not any(touching(tracker, [0.0] + [0.035] * 3 + [0.0] * 5))
     assert touching(tracker, [0.035] * 20, 40_000)[-1]
 
 
 def test_a_light_force_has_to_show_in_the_picture():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
     tracker.frame(1000, Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free)))
     # Noise moved the estimate: what frames show stays as it was.
@@ -208,7 +200,7 @@ def test_a_light_force_has_to_show_in_the_picture():
 
 
 def test_a_light_contact_from_the_start_on_is_seen():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     for start_us in (0, 1_000_000):
         tracker.frame(start_us + 1000, touch_at(0.0, 0.0))
         assert touching(tracker, [0.06] * 20, start_us + 2000)[-1]
@@ -226,7 +218,7 @@ def test_noise_leaves_the_size_of_a_contrast_threshold_alone():
 
 
 def test_what_frames_correct_does_not_end_a_young_contact():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     corrected = [0.0, 0.2, 0.1, 0.1, *np.linspace(0.09, 0.03, 5), 0.03, 0.035]
     assert all(touching(tracker, corrected)[1:])
     # The same fall is a release later.
@@ -235,7 +227,7 @@ def test_what_frames_correct_does_not_end_a_young_contact():
 
 
 def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_contact():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     fall = np.concatenate([np.full(20, 0.3), np.linspace(0.3, 0.05, 25), np.full(60, 0.05)])
     found = touching(tracker, [0.0, *fall])
     assert all(found[1:30])
@@ -245,20 +237,20 @@ def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_cont
 
 def test_an_estimate_that_comes_back_from_below_zero_is_no_new_contact():
     """As after a bounce, whose events do not add up to nothing."""
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     bounce = [0.0, 1.0, 2.0, 1.0, -0.3, -0.2, -0.1, *[0.0] * 20]
     assert touching(tracker, bounce) == [False, *[True] * 3, *[False] * 23]
     assert touching(tracker, [0.2], 60_000) == [True]
 
 
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
     unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
-    assert tracker.window(2000, 0.2).touching
+    assert tracker.window(2000, 0.2, STILL).touching
     # Exposed too early to tell.
     tracker.frame(3000, unseen)
-    assert tracker.window(60_000, 0.06).touching
+    assert tracker.window(60_000, 0.06, STILL).touching
     tracker.frame(59_000, unseen)
-    assert not tracker.window(62_000, 0.06).touching
-    assert tracker.window(64_000, 0.25).touching
+    assert not tracker.window(62_000, 0.06, STILL).touching
+    assert tracker.window(64_000, 0.25, STILL).touching

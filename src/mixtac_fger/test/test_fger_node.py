@@ -280,23 +280,6 @@ def test_a_camera_brings_its_kept_reference_or_none(node_under_test, tmp_path, m
     graph.spin_until(lambda: any(reference_name('V3') in line for line in estimator.errors))
 
 
-@pytest.mark.parametrize('kind', ['missing', 'another architecture'])
-def test_a_model_that_cannot_be_used_fails_the_configuration(node_under_test, tmp_path, kind):
-    from safetensors.numpy import save_file
-
-    path = tmp_path / 'model.safetensors'
-    if kind != 'missing':
-        save_file({'w': np.zeros(1)}, path, metadata={'architecture': 'resnet18'})
-    estimator = Estimator(node_under_test, str(path))
-    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
-        False,
-        State.PRIMARY_STATE_UNCONFIGURED,
-    )
-    assert node_under_test.process.end() == 0
-    assert len([line for line in estimator.errors if str(path) in line]) == 1
-    assert not any('Traceback' in line for line in estimator.errors)
-
-
 def test_autostart_activates_once_and_never_again(node_under_test, tmp_path, model):
     path = tmp_path / 'toy.safetensors'
     write_model(path, model)

@@ -21,7 +21,7 @@ def good(model):
     feed.close()
     status = feed.status()
     estimator = replace(status.estimator, ready=True, reason='', frame_age_us=60_000)
-    return replace(status, estimator=estimator, rate_hz=500.0)
+    return status._replace(estimator=estimator, rate_hz=500.0)
 
 
 def test_all_is_well(good):
@@ -30,7 +30,7 @@ def test_all_is_well(good):
 
 def test_the_reason_for_no_force_comes_first(good):
     estimator = replace(good.estimator, ready=False, reason='waiting for a frame')
-    found = replace(good, estimator=estimator, rate_hz=0.0, lately={'lost_packets': 3})
+    found = good._replace(estimator=estimator, rate_hz=0.0, lately={'lost_packets': 3})
     level, text = feed_diagnosis(found)
     assert level == WARN
     assert text.startswith('waiting for a frame; ')
@@ -38,14 +38,14 @@ def test_the_reason_for_no_force_comes_first(good):
 
 
 def test_no_packets(good):
-    level, text = feed_diagnosis(replace(good, rate_hz=0.0))
+    level, text = feed_diagnosis(good._replace(rate_hz=0.0))
     assert level == WARN
     assert 'no event packets arrive' in text
 
 
 @pytest.mark.parametrize('reason', [each for each in Reason if each is not Reason.TRUSTED])
 def test_a_force_that_cannot_be_trusted(good, reason):
-    invalid = replace(good, estimator=replace(good.estimator, validity=reason.name))
+    invalid = good._replace(estimator=replace(good.estimator, validity=reason.name))
     level, text = feed_diagnosis(invalid)
     assert level == (WARN if reason is Reason.ZERO_UNKNOWN else ERROR)
     assert reason.text in text
@@ -53,11 +53,6 @@ def test_a_force_that_cannot_be_trusted(good, reason):
 
 @pytest.mark.parametrize('name', WATCHED)
 def test_every_watched_counter_warns(good, name):
-    level, text = feed_diagnosis(replace(good, lately={name: 7}))
+    level, text = feed_diagnosis(good._replace(lately={name: 7}))
     assert level == WARN
     assert f'7 {WATCHED[name]}' in text
-
-
-def test_every_watched_counter_is_one(good):
-    for name in WATCHED:
-        assert isinstance(getattr(good, name, getattr(good.estimator, name, None)), int)

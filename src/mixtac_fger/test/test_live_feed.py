@@ -14,7 +14,7 @@ import pytest
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.live_feed import FeedStatus, FrameCounter, LiveFeed
+from mixtac_fger.live_feed import FeedStatus, LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 
 SIZE = (346, 260)
@@ -80,9 +80,9 @@ def test_packets_become_forces_and_losses_are_counted(feed):
         forces += packet(feed, sequence, 200_000 + 1000 * sequence)
     assert [end for end, *_ in forces] == [208_000, 212_000]
     status = feed.status()
-    assert status.lost_packets == 2
-    assert status.bad_messages == 0
-    assert 0 < status.step_p50_ms <= status.step_p99_ms
+    assert status.values['lost_packets'] == 2
+    assert status.values['bad_messages'] == 0
+    assert 0 < status.values['step_p50_ms'] <= status.values['step_p99_ms']
 
 
 def test_packets_of_other_drivers_become_forces(feed):
@@ -90,13 +90,7 @@ def test_packets_of_other_drivers_become_forces(feed):
     for sequence, offset_ns in enumerate((205_000_000, 206_500_000)):
         forces += feed.packet(message(sequence, 'libcaer', offset_ns, bytes([1] + [0] * 7)))
     assert [estimate.end_us for estimate in forces] == [206_000]
-    assert feed.status().bad_messages == 0
-
-
-def test_a_restarted_publisher_is_no_loss(feed):
-    for sequence in (1000, 0, 1):
-        packet(feed, sequence, 300_000 + sequence)
-    assert feed.status().lost_packets == 0
+    assert feed.status().values['bad_messages'] == 0
 
 
 def test_a_packet_that_comes_twice_counts_once(feed):
@@ -104,9 +98,9 @@ def test_a_packet_that_comes_twice_counts_once(feed):
         forces = packet(feed, sequence, 200_000 + 1000 * sequence)
         assert all(estimate.complete for estimate in forces[1:])
     status = feed.status()
-    assert status.repeated_packets == 1
+    assert status.values['repeated_packets'] == 1
     assert losses(status) == {'repeated_packets': 1}
-    assert status.lost_packets == 0
+    assert status.values['lost_packets'] == 0
 
 
 def test_a_packet_that_could_not_be_read_leaves_a_hole(feed):
@@ -125,9 +119,9 @@ def test_late_forces_are_counted_where_clocks_compare(model):
         feed.published(2, 10**18, 10**18 + age_ns)
     status = feed.status()
     feed.close()
-    assert status.late == 2
+    assert status.values['late'] == 2
     assert status.lately['late'] == 2
-    assert status.age_p50_ms == 2.0
+    assert status.values['age_p50_ms'] == 2.0
 
 
 @pytest.mark.parametrize(
@@ -141,7 +135,7 @@ def test_late_forces_are_counted_where_clocks_compare(model):
 def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text):
     assert feed.packet(message(1, encoding, 0, data, size)) == []
     status = feed.status()
-    assert status.bad_messages == 1
+    assert status.values['bad_messages'] == 1
     assert text in status.problem
     assert status.lately['bad_messages'] == 1
     assert packet(feed, 2, 203_000) == []
@@ -156,22 +150,9 @@ def test_bad_images_are_counted_and_explained(feed):
     feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 0)
     feed.estimator.drain()
     status = feed.status()
-    assert (status.estimator.bad_frames, status.bad_messages) == (1, 1)
+    assert (status.estimator.bad_frames, status.values['bad_messages']) == (1, 1)
     assert packet(feed, 1, 205_000) == []
     assert packet(feed, 2, 206_500)
-
-
-def test_frames_of_another_size_are_explained_while_forces_come(feed):
-    packet(feed, 1, 205_000)
-    assert packet(feed, 2, 206_500)
-    feed.status()
-    feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 206_000)
-    feed.estimator.drain()
-    status = feed.status()
-    assert status.estimator.ready
-    assert losses(status) == {'bad_frames': 1}
-    assert '(3, 4)' in status.problem
-    assert feed.status().problem == ''
 
 
 def test_warming_up_leaves_the_model_alone(model):
@@ -194,19 +175,6 @@ def test_compressed_frames_are_taken_and_damaged_ones_are_counted(model, trial, 
     feed.close()
 
 
-def test_frames_that_never_came_are_counted():
-    counter = FrameCounter()
-    for index in range(40):
-        if index not in {20, 21, 30}:
-            counter.take(25_000 * index + index % 3)
-    assert counter.missing == 3
-    # A restart of the clock, or an hour without the camera, is no loss.
-    for start_us in (10, 4_000_000_000):
-        for index in range(10):
-            counter.take(start_us + 40_000 * index)
-    assert counter.missing == 3
-
-
 def test_colour_frames_are_taken_as_grey(model, trial):
     width, height = SIZE
     colours = np.repeat((trial.frames[0] >> 2).astype(np.uint8)[:, :, None], 3, axis=2)
@@ -215,5 +183,5 @@ def test_colour_frames_are_taken_as_grey(model, trial):
     feed.estimator.drain()
     assert feed.estimator.reference.progress == 1
     feed.close()
-    assert feed.status().bad_messages == 0
+    assert feed.status().values['bad_messages'] == 0
     assert colours.shape[0] == height

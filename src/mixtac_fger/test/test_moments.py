@@ -91,7 +91,8 @@ def test_cells_of_a_grid_add_up_to_the_moments(place):
     np.testing.assert_allclose(contact, place, atol=2.0)
     # Cells whose sides are whole bins: 5 by 5 of 65 by 85.
     means = moved[:, :, :85].reshape(2, 13, 5, 17, 5).mean(axis=(2, 4)).transpose(1, 2, 0)
-    per_cell = moments_of_cells(contact, (ROWS, 85), grid)
+    per_cell = np.empty((MOMENTS, *grid, 2))
+    moments_of_cells(contact, (ROWS, 85), per_cell)
     added = np.tensordot(per_cell, means, 3)
     # The lean is the press times the place; both are of the one grid.
     np.testing.assert_allclose(added[:3], whole[:3], rtol=0.05)

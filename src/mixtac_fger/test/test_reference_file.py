@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import re
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -55,16 +53,6 @@ def test_damaged_files_are_refused_and_not_replaced(tmp_path, reference, content
     assert path.read_bytes() == content
 
 
-def test_an_array_that_is_no_reference_is_not_replaced(tmp_path, reference):
-    path = tmp_path / 'reference.npz'
-    with path.open('wb') as file:
-        np.save(file, np.zeros(3))
-    for use in (reference.load, reference.save):
-        with pytest.raises(ReferenceFileError):
-            use(path)
-    assert np.array_equal(np.load(path), np.zeros(3))
-
-
 def test_every_cut_of_a_file_is_refused(tmp_path, reference):
     path = tmp_path / 'reference.npz'
     reference.save(path)
@@ -73,31 +61,6 @@ def test_every_cut_of_a_file_is_refused(tmp_path, reference):
         path.write_bytes(data[:length])
         with pytest.raises(ReferenceFileError):
             reference.load(path)
-
-
-@pytest.mark.parametrize('marks', [{6: 1}, {8: 99}], ids=['encrypted', 'packed in another way'])
-def test_an_archive_that_cannot_be_unpacked_is_refused(tmp_path, reference, marks):
-    path = tmp_path / 'reference.npz'
-    reference.save(path)
-    data = bytearray(path.read_bytes())
-    for kind, shift in ((b'PK\x03\x04', 0), (b'PK\x01\x02', 2)):
-        for found in re.finditer(re.escape(kind), bytes(data)):
-            for at, value in marks.items():
-                data[found.start() + at + shift] = value
-    path.write_bytes(data)
-    for use in (reference.load, reference.save):
-        with pytest.raises(ReferenceFileError):
-            use(path)
-
-
-@pytest.mark.parametrize('shape', [(1 << 50,), (1 << 70,)])
-def test_an_array_that_no_memory_holds_is_refused(tmp_path, reference, shape):
-    path = tmp_path / 'reference.npz'
-    with zipfile.ZipFile(path, 'w') as archive, archive.open('contrast.npy', 'w') as file:
-        header = {'descr': '<f4', 'fortran_order': False, 'shape': shape}
-        np.lib.format.write_array_header_1_0(file, header)
-    with pytest.raises(ReferenceFileError):
-        reference.load(path)
 
 
 def test_numbers_that_are_not_finite_and_other_shapes_are_refused(tmp_path, reference):

@@ -16,12 +16,10 @@ from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import Model, ModelCard, read_model, write_model
 
 SOURCE = '''
-from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.estimator import EncodedFrame, Estimator
 
-class Counting:
+class Counting(Estimator):
     """Returns `gain` newtons per event."""
-    reference, gives_deviation, parameters, operations = None, False, 1, 2
-
     def __init__(self, model):
         self.width, self.height = model.config['width'], model.config['height']
         self.window_us = 2000

@@ -20,7 +20,7 @@ from mixtac.options import JsonFile, Namespace, OptionalPath, ParamsFile, Refere
 from mixtac_core.node.files import write_json
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_fger.config import ModelError
-from mixtac_fger.estimator import ADAPTED_KEY, CALIBRATED_KEY, SERIAL_KEY
+from mixtac_fger.estimator import CALIBRATED_KEY, SERIAL_KEY
 from mixtac_fger.fger_net import (
     CALIBRATED_DEVIATION,
     checked_config,
@@ -143,7 +143,7 @@ def calibrate_force(
     } | _entry(normal)
     _report(console, 'Known loads', entry)
     # Deviations become those of a known gain once.
-    once = {CALIBRATED_KEY, ADAPTED_KEY}.isdisjoint(content.card.training)
+    once = CALIBRATED_KEY not in content.card.training
     scaled = with_gain(content, normal.gain, CALIBRATED_DEVIATION if once else 1.0)
     if session.pulls:
         pulled = fit_gain(session.pull_loads, session.pulls, PULL)

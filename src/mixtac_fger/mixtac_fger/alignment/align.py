@@ -10,7 +10,6 @@ recordings hold the same number.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -18,42 +17,12 @@ from numpy.typing import NDArray
 
 from mixtac_fger.alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
 from mixtac_fger.alignment.errors import AmbiguousImpulsesError, NoImpulseError
-from mixtac_fger.alignment.histories import CellEvents, EventCounts, FrameFeatures
+from mixtac_fger.alignment.histories import Recording
 from mixtac_fger.alignment.impulses import FORCE_GAP_S
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_fger.alignment.taps import fit_taps
 
-Floats = NDArray[np.float64]
-
-
 Method = Literal['taps', 'edges']
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Recording:
-    """What both clocks recorded; camera times on the camera clock, the others on the reference's.
-
-    Attributes:
-        counts: Event counts, with lost packets marked.
-        events: Events by cell; the latest ones where there are very many.
-        frames: Frames, or None where there are no exposure times.
-        force_t_s: Stamps of the reference sensor [s], ``float64 [n]``, increasing.
-        force: Its normal force [N], of either sign.
-        edges_us: Edges at the camera's synchronisation input, camera clock [us].
-        reference_edges_s: The same edges on the reference clock [s].
-        all_edges: Whether the first edges of both clocks are the same one, and so on.
-        damage: What is missing because the bag is incomplete; empty for a sound one.
-    """
-
-    counts: EventCounts
-    events: CellEvents
-    frames: FrameFeatures | None
-    force_t_s: Floats
-    force: Floats
-    edges_us: NDArray[np.int64]
-    reference_edges_s: Floats
-    damage: str = ''
-    all_edges: bool = False
 
 
 def align(
@@ -61,7 +30,6 @@ def align(
     parameters: AlignmentParameters = DEFAULTS,
     *,
     method: Method = 'taps',
-    use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
     """Fit the clock map of a recording.
@@ -69,8 +37,7 @@ def align(
     Args:
         recording: The recording.
         parameters: Definition of an impulse, latencies, limits of clocks.
-        method: `taps` fits the two synchronising impulses, `edges` the edges of a trigger line.
-        use_all: Fit all strong impulses by least squares instead of the first and the last.
+        method: `taps` fits the synchronising impulses, `edges` the edges of a trigger line.
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
@@ -79,16 +46,7 @@ def align(
     if method == 'edges':
         edges = recording.edges_us, recording.reference_edges_s
         return fit_edges(*edges, complete=recording.all_edges)
-    return fit_taps(
-        recording.counts,
-        recording.events,
-        recording.frames,
-        recording.force_t_s,
-        recording.force,
-        parameters,
-        use_all=use_all,
-        max_gap_s=max_gap_s,
-    )
+    return fit_taps(recording, parameters, max_gap_s=max_gap_s)
 
 
 FEWEST_EDGES: Final = 3

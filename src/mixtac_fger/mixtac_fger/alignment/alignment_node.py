@@ -24,12 +24,13 @@ from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.images import ImageConversionError, grey
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_fger.alignment import signals
-from mixtac_fger.alignment.align import Method, Recording, align, arrived_together
+from mixtac_fger.alignment.align import Method, align, arrived_together
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_fger.alignment.histories import (
     EventHistory,
     ForceHistory,
     FrameHistory,
+    Recording,
     follow_stamps,
     has_restarted,
     reduce_frame,
@@ -63,8 +64,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._reference_edges: Edges = deque()
         self._fit: ClockFit | None = None
         self._restarts = 0
-        self._halves, self._newest_ns, self._paired = 0, 0, 0
-        self._undecodable = 0
+        self._newest_ns = self._undecodable = 0
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
         with self._diagnostics.compiling('the packet codec'):
             warm_up()
@@ -106,8 +106,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
-        taken = self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
-        if not taken or self._fit is None or self._stale:
+        kept = self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
+        if not kept or self._fit is None or self._stale:
             return
         time_us = int(self._fit.to_camera(stamp_to_ns(message.header.stamp) / 1e9))
         if 0 <= 1000 * time_us < MAX_TIME_BASE:
@@ -115,12 +115,10 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._aligned.publish(message)
 
     def _on_half(self, message: Image | FrameExposure) -> None:
-        self._halves += 1
         stamp_ns = stamp_to_ns(message.header.stamp)
         self._newest_ns = follow_stamps(self._pairs.queues, stamp_ns, self._newest_ns)
 
     def _on_frame(self, image: Image, exposure: FrameExposure) -> None:
-        self._paired += 1
         if not self._settings.use_frames:
             return
         try:
@@ -163,7 +161,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             all_edges=arrived_together(camera[:, 1], reference[:, 1]),
         )
         method: Method = 'edges' if p.use_edges else 'taps'
-        self._fit = align(recording, p, method=method, use_all=p.use_all)
+        self._fit = align(recording, p, method=method)
         self._restarts = self._clock_restarts
         message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()
@@ -179,18 +177,12 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         """Whether a clock has restarted since the fit."""
         return self._clock_restarts > self._restarts
 
-    def _unmatched(self) -> int:
-        waiting = sum(len(queue) for queue in self._pairs.queues)
-        return max(0, self._halves - 2 * self._paired - waiting)
-
     def _status(self) -> Status:
         values: dict[str, object] = {
             'packets': self._events.packets.received,
             'lost packets': self._events.packets.lost,
             'undecodable packets': self._undecodable,
-            'reference samples out of order': self._force.out_of_order,
-            'reference samples dropped: reference_rate is too low': self._force.dropped,
-            'frames and exposure messages without a match': self._unmatched(),
+            'reference samples out of order': self._force.refused,
             'events dropped: history buffer full': self._events.dropped,
             'external edges': len(self._camera_edges),
             'clock restarts': self._clock_restarts,

@@ -27,10 +27,16 @@ from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings.bag import BagFile, check_new, custom_data, fit_path, typestore
 from mixtac_core.recordings.bag_writer import McapBag, offered_qos
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_fger.alignment.align import Recording, arrived_together
+from mixtac_fger.alignment.align import arrived_together
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_fger.alignment.errors import AlignmentError, GapError
-from mixtac_fger.alignment.histories import RESTART_US, EventHistory, FrameHistory, reduce_frame
+from mixtac_fger.alignment.histories import (
+    RESTART_US,
+    EventHistory,
+    FrameHistory,
+    Recording,
+    reduce_frame,
+)
 
 LONGEST_S: Final = 3600.0
 """Longest span of frames and events that is kept [s]."""

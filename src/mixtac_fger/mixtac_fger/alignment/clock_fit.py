@@ -110,18 +110,15 @@ class ClockFit:
         """Drift of the reference clock against the camera clock [1e-6]."""
         return (self.a - 1.0) * 1e6
 
-    def with_map(
-        self, a: float, b: float, covariance: NDArray[np.float64], method: str = ''
-    ) -> ClockFit:
+    def with_map(self, a: float, b: float, covariance: NDArray[np.float64]) -> ClockFit:
         """Return another map with the same epochs and anchors; the residuals are those to it.
 
         Args:
             a: Rate.
             b: Offset about the epochs [s].
             covariance: Of (a, b), 2 x 2.
-            method: How it was made; empty for the same.
         """
-        fit = replace(self, a=a, b=b, covariance=covariance, method=method or self.method)
+        fit = replace(self, a=a, b=b, covariance=covariance)
         camera_us = np.array([anchor.camera_us for anchor in self.anchors])
         reference_s = np.array([anchor.reference_s for anchor in self.anchors])
         return replace(fit, residuals_s=reference_s - fit.to_reference(camera_us))
@@ -216,7 +213,7 @@ def fit_clock(
     min_baseline_s: float = 1.0,
     max_drift: float = MAX_DRIFT,
     common_std_s: float = 0.0,
-    method: str | None = None,
+    method: str = '',
 ) -> ClockFit:
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
 
@@ -228,7 +225,7 @@ def fit_clock(
         min_baseline_s: Shortest time between the first and the last anchor [s].
         max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
         common_std_s: Standard deviation of an error that all anchors share [s].
-        method: Name of the method; by default that of the solution.
+        method: Name of the method; empty for that of the solution.
 
     Raises:
         NoImpulseError: Fewer than two anchors.

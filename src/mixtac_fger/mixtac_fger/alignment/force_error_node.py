@@ -65,7 +65,7 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         p = declare(self, ForceErrorParameters)
         self._sign = p.sign or 1
         self._error = RunningError(p.window)
-        self._estimates, self._paired, self._newest_ns = 0, 0, 0
+        self._newest_ns = 0
         force, reference = (
             Subscriber(self, topics.message_class(topic.type_name), name, qos_profile=qos(topic))
             for topic, name in (
@@ -73,7 +73,6 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
                 (topics.ALIGNMENT_REFERENCE, p.reference_topic),
             )
         )
-        force.registerCallback(self._on_force)
         for half in (force, reference):
             half.registerCallback(self._on_half)
         self._pairs = ApproximateTimeSynchronizer([force, reference], WAITING, SLOP_S)
@@ -87,11 +86,7 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         stamp_ns = stamp_to_ns(message.header.stamp)
         self._newest_ns = follow_stamps(self._pairs.queues, stamp_ns, self._newest_ns)
 
-    def _on_force(self, _message: topics.ForceMessage) -> None:
-        self._estimates += 1
-
     def _on_pair(self, force: topics.ForceMessage, reference: topics.ForceMessage) -> None:
-        self._paired += 1
         self._error.push(topics.normal_force(force), self._sign * topics.normal_force(reference))
 
     def _publish(self) -> None:
@@ -103,7 +98,6 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         error = self._error
         values: dict[str, object] = {
             'pairs': error.pairs,
-            'unpaired estimates': self._estimates - self._paired,
             'mae [N]': error.mae,
             'rmse [N]': error.rmse,
         }

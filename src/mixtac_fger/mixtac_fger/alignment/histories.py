@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the alignment remembers of events, frames and force, in bounded memory.
+"""Events, frames and force that the alignment keeps, in bounded memory.
 
 Events are counted in bins of 0.5 ms, and kept by image cell and polarity (`EventHistory`,
 `EventCounts`, `CellEvents`). Frames are reduced to the log brightness of coarse
@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.packets import DecodedPacket
 from mixtac_core.events.sequence import SequenceCounter
-from mixtac_core.events.windows import counts_per_window
-from mixtac_fger.alignment.errors import AlignmentError
 
 CELL_PX: Final = 10
 """Side of a cell: several beads wide at most, so that motion of a part of a pixel shows."""
@@ -102,23 +100,6 @@ class EventCounts:
     counts: NDArray[np.int64]
     lost: tuple[tuple[int, int], ...] = ()
 
-    @classmethod
-    def of(cls, t_us: NDArray[np.int64], width_us: int = BIN_US) -> EventCounts:
-        """Count recorded events.
-
-        Args:
-            t_us: Event times, camera clock [us], any order, not empty.
-            width_us: Width of a bin [us].
-
-        Raises:
-            AlignmentError: No events.
-        """
-        if len(t_us) == 0:
-            raise AlignmentError('no events recorded: check that the camera sees light and motion')
-        start = int(t_us.min())
-        end = start + (int(t_us.max()) - start) // width_us * width_us + width_us
-        return cls(start, width_us, counts_per_window(t_us, start, end, width_us))
-
     def lost_near(self, index: int, reach: int) -> bool:
         """Return whether packets were lost within `reach` bins of a bin."""
         return any(first - reach <= index < end + reach for first, end in self.lost)
@@ -193,7 +174,6 @@ class EventHistory:
 
     def _clear(self) -> None:
         self._batch: list[Events] = []
-        self._counted: deque[tuple[int, NDArray[np.int64]]] = deque()
         self._cells: deque[CellEvents] = deque()
         self._held, self._first, self._end_us = 0, -1, 0
         self._lost: list[tuple[int, int]] = []
@@ -229,15 +209,15 @@ class EventHistory:
         return anew
 
     def counts(self) -> EventCounts:
-        """Return the counts of the bins that are complete."""
+        """Return the counts of the bins that are complete, as far back as events are kept."""
         self._reduce()
         end = max(self._end_us // BIN_US, self._first + 1)
         first = max(self._first, end - self._span_us // BIN_US)
         total = np.zeros(end - first, np.int64)
-        for low, part in self._counted:
-            a, b = max(low, first), min(low + len(part), end)
-            if b > a:
-                total[a - first : b - first] += part[a - low : b - low]
+        for part in self._cells:
+            bins = part.t_us // BIN_US - first
+            bins = bins[(bins >= 0) & (bins < len(total))]
+            total += np.bincount(bins, minlength=len(total)) if len(bins) else 0
         lost = tuple((a - first, b - first) for a, b in self._lost if b > first)
         return EventCounts(first * BIN_US, BIN_US, total, lost)
 
@@ -256,19 +236,15 @@ class EventHistory:
         if not self._batch:
             return
         events, self._batch = Events.concatenate(self._batch), []
-        bins = events.t // BIN_US
-        low = int(bins.min())
-        self._counted.append((low, np.bincount(bins - low)))
         self._cells.append(by_cell(events, *self._size))
         self._held += len(events)
         oldest_us = self._end_us - self._span_us
-        while self._counted[0][0] + len(self._counted[0][1]) < oldest_us // BIN_US:
-            self._counted.popleft()
         while len(self._cells) > 1 and (
             self._held > self._most or self._cells[0].t_us[-1] < oldest_us
         ):
             part = self._cells.popleft()
             self._held -= len(part.t_us)
+            self._first = max(self._first, int(part.t_us[-1]) // BIN_US + 1)
             self.dropped += len(part.t_us) if part.t_us[-1] >= oldest_us else 0
 
 
@@ -318,22 +294,12 @@ class FrameHistory:
         return FrameFeatures(start, end, np.stack([row[2] for row in rows]))
 
 
-MOST_REFUSED: Final = 20
-"""Samples in a row with an earlier stamp; from then on the clock was set back."""
-
-
-FINEST_NS: Final = 1000
-"""Stamps that are nearer to each other than this are one: seconds in float64 hold no less."""
-
-
 class ForceHistory:
     """The latest force samples, with increasing stamps.
 
     Attributes:
-        out_of_order: Samples dropped because they had no stamp (0), it did not increase by a
-            microsecond, or their force was no number.
-        restarts: Times the reference clock jumped back: by more than a second, or for good.
-        dropped: Samples that were dropped to make room.
+        refused: Samples without a stamp, with an earlier one, or whose force is no number.
+        restarts: Times the reference clock went back by more than a second.
 
     Args:
         span_s: Time to remember [s].
@@ -341,10 +307,9 @@ class ForceHistory:
     """
 
     def __init__(self, span_s: float, capacity: int) -> None:
-        self.out_of_order = self.restarts = self.dropped = 0
+        self.refused = self.restarts = 0
         self._span_ns = round(span_s * 1e9)
         self._samples: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=capacity)
-        self._refused = 0
 
     def push(self, t_ns: int, force: tuple[float, float, float]) -> bool:
         """Add a sample; return whether it was kept.
@@ -354,19 +319,14 @@ class ForceHistory:
             force: Force (x, y, z) [N].
         """
         samples = self._samples
-        late_ns = samples[-1][0] - t_ns if samples else -FINEST_NS
         sound = t_ns != 0 and bool(np.isfinite(force).all())
-        self._refused += sound and late_ns > 0
-        restarted = late_ns > 1000 * RESTART_US or self._refused > MOST_REFUSED
-        if not sound or (late_ns > -FINEST_NS and not restarted):
-            self.out_of_order += 1
-            return False
-        if late_ns >= 0:
+        if sound and samples and has_restarted(t_ns, samples[-1][0]):
             self.restarts += 1
             samples.clear()
-        self._refused = 0
-        if len(samples) == samples.maxlen and samples[0][0] >= t_ns - self._span_ns:
-            self.dropped += 1
+        # Seconds in float64 hold no less than a microsecond.
+        if not sound or (samples and t_ns // 1000 <= samples[-1][0] // 1000):
+            self.refused += 1
+            return False
         samples.append((t_ns, force))
         return True
 
@@ -376,3 +336,30 @@ class ForceHistory:
         force = np.array([force for _, force in self._samples], np.float64).reshape(-1, 3)
         recent = t_ns >= (t_ns[-1] if len(t_ns) else 0) - self._span_ns
         return t_ns[recent] / 1e9, force[recent, 'xyz'.index(axis)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What both clocks recorded; camera times on the camera clock, the others on the reference's.
+
+    Attributes:
+        counts: Event counts, with lost packets marked.
+        events: Events by cell; the latest ones where there are very many.
+        frames: Frames, or None where there are no exposure times.
+        force_t_s: Stamps of the reference sensor [s], ``float64 [n]``, increasing.
+        force: Its normal force [N], of either sign.
+        edges_us: Edges at the camera's synchronisation input, camera clock [us].
+        reference_edges_s: The same edges on the reference clock [s].
+        all_edges: Whether the first edges of both clocks are the same one, and so on.
+        damage: What is missing because the bag is incomplete; empty for a sound one.
+    """
+
+    counts: EventCounts
+    events: CellEvents
+    frames: FrameFeatures | None
+    force_t_s: NDArray[np.float64]
+    force: NDArray[np.float64]
+    edges_us: NDArray[np.int64]
+    reference_edges_s: NDArray[np.float64]
+    damage: str = ''
+    all_edges: bool = False

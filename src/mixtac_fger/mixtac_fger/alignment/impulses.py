@@ -20,7 +20,6 @@ another.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Final
@@ -37,7 +36,12 @@ from mixtac_fger.alignment.errors import (
 )
 from mixtac_fger.alignment.histories import EventCounts
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_fger.alignment.signals import noise_std, pressing_sign, prominent_peaks
+from mixtac_fger.alignment.signals import (
+    gaussian_smooth,
+    noise_std,
+    pressing_sign,
+    prominent_peaks,
+)
 
 MIN_SPACING_S: Final = 0.3
 """Of impulses closer than this, bounces mostly, the strongest counts [s]."""
@@ -48,44 +52,29 @@ class Impulse:
     """An impulse in one recording.
 
     Attributes:
-        time_s: Peak or moment of stillness [s] since the start of the recording, on its clock.
-        std_s: Standard deviation of `time_s` [s].
+        time_s: Peak [s] since the start of the recording, on its clock.
         strength: Sharpness, comparable within one recording only.
         saturated: True where the peak is cut off.
     """
 
     time_s: float
-    std_s: float
     strength: float
     saturated: bool = False
 
 
-def vertex(t: NDArray[np.float64], value: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the vertex of the parabola through samples and its standard deviation.
+def vertex(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:
+    """Return the time of the vertex of the parabola through samples [s], within the samples.
 
     Args:
         t: Sample times [s], at least 3.
         value: Samples about one extremum.
-
-    Returns:
-        Time of the vertex [s], within the samples, and its standard deviation from their scatter.
     """
-    middle = float(t.mean())
-    half = max(float(np.ptp(t)) / 2.0, 1e-9)
-    u = (t - middle) / half
-    basis = np.stack([np.ones_like(u), u, u**2], axis=1)
-    coefficients, *_ = np.linalg.lstsq(basis, value, rcond=None)
-    _, slope, curvature = coefficients
+    middle, half = float(t.mean()), max(float(np.ptp(t)) / 2.0, 1e-9)
+    curvature, slope, _ = np.polyfit((t - middle) / half, value, 2)
     if abs(curvature) < 1e-12 * (1.0 + abs(slope)):
-        return middle, half
-    at = -slope / (2.0 * curvature)
-    freedom = len(t) - 3
-    variance = float(np.sum((value - basis @ coefficients) ** 2)) / freedom if freedom > 0 else 0.0
-    gradient = np.array([0.0, -1.0 / (2.0 * curvature), slope / (2.0 * curvature**2)])
-    spread = float(gradient @ np.linalg.pinv(basis.T @ basis) @ gradient) * variance
-    inside = float(np.clip(at, -1.0, 1.0))
-    time = float(np.clip(middle + half * inside, t[0], t[-1]))
-    return time, half * float(np.sqrt(spread) + abs(at - inside))
+        return middle
+    inside = np.clip(-slope / (2.0 * curvature), -1.0, 1.0)
+    return float(np.clip(middle + half * inside, t[0], t[-1]))
 
 
 def strongest(impulses: list[Impulse], spacing_s: float) -> list[Impulse]:
@@ -108,7 +97,7 @@ def find_force_impulses(
     force_N: NDArray[np.float64],
     parameters: AlignmentParameters = DEFAULTS,
 ) -> list[Impulse]:
-    """Find sharp force peaks, with times between the samples.
+    """Find sharp force peaks; their times lie between the samples.
 
     Args:
         t_s: Increasing sample times [s], relative to the start of the recording (epoch times would
@@ -118,30 +107,23 @@ def find_force_impulses(
 
     Returns:
         Impulses in the order of time; bounces are merged into the strongest.
-
-    Raises:
-        AlignmentError: Arrays that are no recording.
     """
-    _require_recording(t_s, force_N)
     force = pressing_sign(force_N) * (force_N - np.median(force_N))
     period = float(np.median(np.diff(t_s)))
     least = max(parameters.min_force, NOISE_FACTOR * noise_std(force))
     window = 2 * max(3, round(2.0 * parameters.max_width / period)) + 1
-    peaks = prominent_peaks(force, least, window)
     impulses = []
-    for peak, height, width in zip(*peaks, strict=True):
-        width_s = float(width) * period
+    for peak, height, width in prominent_peaks(force, least, window):
+        width_s = width * period
         if width_s > parameters.max_width:
             continue
-        first, last = _top(force, int(peak), force[peak] - (1.0 - TOP) * height)
-        time_s, std_s = vertex(t_s[first:last], force[first:last])
-        flat_first, flat_last = _top(force, int(peak), force[peak] - 1e-6 * height, least=0)
+        first, last = _top(force, peak, force[peak] - (1.0 - TOP) * height)
+        flat_first, flat_last = _top(force, peak, force[peak] - 1e-6 * height, least=0)
         flat = flat_last - flat_first
         impulses.append(
             Impulse(
-                time_s=time_s,
-                std_s=float(np.hypot(std_s, period / np.sqrt(12.0))),
-                strength=float(height) / max(width_s, period),
+                time_s=vertex(t_s[first:last], force[first:last]),
+                strength=height / max(width_s, period),
                 saturated=bool(flat >= 3 and flat * period > 0.3 * width_s),
             )
         )
@@ -158,16 +140,32 @@ def _top(force: NDArray[np.float64], peak: int, level: float, least: int = 2) ->
     return first, last + 1
 
 
-def _require_recording(t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
-    if t_s.shape != force_N.shape or t_s.ndim != 1 or len(t_s) < 16:
-        raise AlignmentError(
-            f'force recording of shapes {t_s.shape} and {force_N.shape}: give two equal 1-d arrays '
-            'of at least 16 samples'
-        )
-    if not (np.isfinite(t_s).all() and np.isfinite(force_N).all()):
-        raise AlignmentError('force recording holds NaN or infinity: remove these samples')
-    if not np.all(np.diff(t_s) > 0.0):
-        raise AlignmentError('force sample times do not increase: sort them and drop repeats')
+SMOOTHING_S: Final = 0.006
+"""Standard deviation of the smoothing that merges both bursts of a tap [s]."""
+LOST_NEAR_S: Final = 0.05
+"""Distance to lost packets within which a burst does not count [s]."""
+
+
+def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:
+    """Find bursts of the smoothed event rate that are as short as a tap's.
+
+    Args:
+        counts: Event counts, camera clock.
+        parameters: What counts as an impulse.
+
+    Returns:
+        Impulses in the order of time, relative to the start of the counts.
+    """
+    width_s = counts.width_us * 1e-6
+    smooth = gaussian_smooth(counts.counts.astype(np.float64) / width_s, SMOOTHING_S / width_s)
+    window = 2 * round(4.0 * parameters.max_width / width_s) + 1
+    reach = round(LOST_NEAR_S / width_s)
+    impulses = [
+        Impulse((peak + 0.5) * width_s, height)
+        for peak, height, width in prominent_peaks(smooth, parameters.min_burst_rate, window)
+        if width * width_s <= 1.5 * parameters.max_width and not counts.lost_near(peak, reach)
+    ]
+    return strongest(impulses, MIN_SPACING_S)
 
 
 QUIET_S: Final = 0.3
@@ -206,8 +204,8 @@ def _is_isolated(at_s: float, time_s: NDArray[np.float64], height: NDArray[np.fl
 
 MOST_IMPULSES: Final = 24
 """Impulses of each recording that are tried, the strongest ones."""
-MATCH_S: Final = 0.006
-"""Largest disagreement of two impulses that are the same [s]."""
+MATCH_S: Final = 0.02
+"""Largest disagreement of a burst and a force peak that are the same tap [s]."""
 RIVAL: Final = 0.8
 """A second map that explains this part of what the best explains makes the answer ambiguous."""
 
@@ -238,7 +236,6 @@ def pair_impulses(
     camera: list[Impulse],
     reference: list[Impulse],
     max_drift: float,
-    match_s: float = MATCH_S,
 ) -> tuple[ImpulsePair, ...]:
     """Pair the impulses of both recordings.
 
@@ -246,7 +243,6 @@ def pair_impulses(
         camera: Impulses in the events, at least two.
         reference: Impulses in the force, at least two.
         max_drift: Largest believable difference of clock rates.
-        match_s: Largest disagreement of two impulses that are the same [s].
 
     Returns:
         At least two pairs in the order of time.
@@ -260,14 +256,13 @@ def pair_impulses(
     matches = []
     for (e0, e1), (f0, f1) in product(combinations(events, 2), combinations(forces, 2)):
         span, other = e1.time_s - e0.time_s, f1.time_s - f0.time_s
-        std = np.sqrt(e0.std_s**2 + e1.std_s**2 + f0.std_s**2 + f1.std_s**2)
-        if abs(other - span) > max_drift * span + max(match_s, 3.0 * std):
+        if abs(other - span) > max_drift * span + MATCH_S:
             continue
         pairs = []
         for impulse in events:
             at = f0.time_s + other / span * (impulse.time_s - e0.time_s)
             nearest = int(np.argmin(np.abs(times - at)))
-            if abs(times[nearest] - at) <= match_s:
+            if abs(times[nearest] - at) <= MATCH_S:
                 weight = _weight(impulse, events) * _weight(forces[nearest], forces)
                 pairs.append(ImpulsePair(impulse, forces[nearest], float(np.sqrt(weight))))
         middle = events[len(events) // 2].time_s
@@ -281,7 +276,7 @@ def pair_impulses(
     best = max(matches, key=lambda match: match.score)
     for match in matches:
         apart = abs(match.offset_s - best.offset_s)
-        if apart > 4.0 * match_s and match.score > RIVAL * best.score:
+        if apart > 4.0 * MATCH_S and match.score > RIVAL * best.score:
             raise AmbiguousImpulsesError(
                 f'impulses match at clock offsets of {best.offset_s:.3f} s and '
                 f'{match.offset_s:.3f} s alike: leave other taps out, or tap twice at one end so '
@@ -332,8 +327,6 @@ def require_continuous(t_s: NDArray[np.float64], largest_s: float = FORCE_GAP_S)
     Raises:
         GapError: Samples are further apart than that and four periods.
     """
-    if len(t_s) < 3:
-        return
     steps = np.diff(t_s)
     worst = int(np.argmax(steps))
     if steps[worst] > max(largest_s, 4.0 * float(np.median(steps))):
@@ -343,6 +336,8 @@ def require_continuous(t_s: NDArray[np.float64], largest_s: float = FORCE_GAP_S)
         )
 
 
+FEWEST_SAMPLES: Final = 16
+"""Samples of the force in which an impulse can be found."""
 STRONG: Final = 0.02
 """Pairs with this part of the strongest one's weight are impulses; that of a dropped load may be
 thirty times that of a tap."""
@@ -353,9 +348,7 @@ def paired_impulses(
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
     parameters: AlignmentParameters,
-    find: Callable[[EventCounts, AlignmentParameters], list[Impulse]],
     *,
-    match_s: float = MATCH_S,
     max_gap_s: float = FORCE_GAP_S,
 ) -> tuple[tuple[ImpulsePair, ...], float]:
     """Return the synchronising impulses of both recordings, and the zero of the force's times [s].
@@ -365,8 +358,6 @@ def paired_impulses(
         force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
         force_N: Normal force [N], either sign, ``float64``.
         parameters: What counts as an impulse, latency of the events, limits of clocks.
-        find: Finds impulses in event counts in which gaps are marked, by the parameters.
-        match_s: Largest disagreement of two impulses that are the same [s].
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
@@ -375,16 +366,19 @@ def paired_impulses(
         SaturatedImpulseError: An impulse went over the range of the force sensor.
         GapError: Force samples are missing.
     """
-    if len(force_t_s) == 0:
-        raise AlignmentError('no force recorded: check the topic of the reference sensor')
+    if len(force_t_s) < FEWEST_SAMPLES:
+        raise AlignmentError(
+            f'{len(force_t_s)} force samples recorded: check the topic of the reference sensor'
+        )
     start_s = float(np.floor(force_t_s[0]))
     time_s = force_t_s - start_s
     require_continuous(time_s, max_gap_s)
     reference = prefer_isolated(find_force_impulses(time_s, force_N, parameters), time_s, force_N)
-    camera = prefer_isolated(find(mark_gaps(counts), parameters), *_coarse_rate(counts))
+    camera = find_bursts(mark_gaps(counts), parameters)
+    camera = prefer_isolated(camera, *_coarse_rate(counts))
     _require_two(reference, 'force', f'tap so that the force passes {parameters.min_force:g} N')
     _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
-    pairs = pair_impulses(camera, reference, 1e-6 * parameters.max_drift, match_s)
+    pairs = pair_impulses(camera, reference, 1e-6 * parameters.max_drift)
     return _synchronising(pairs), start_s
 
 

@@ -13,7 +13,7 @@ align need not wait for. `warm_up` loads it.
 from __future__ import annotations
 
 import warnings
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,22 +97,12 @@ def pressing_sign(force_N: NDArray[np.float64]) -> float:
     return 1.0 if relative.max() >= -relative.min() else -1.0
 
 
-class Peaks(NamedTuple):
-    """Peaks in the order of their places.
+def prominent_peaks(
+    values: NDArray[np.float64], prominence: float, window: int
+) -> list[tuple[int, float, float]]:
+    """Return place, prominence and width at half the prominence of peaks [samples].
 
-    Attributes:
-        places: Index of each, the middle of a plateau, ``int64 [n]``.
-        prominences: Rise over the higher one of the lowest values to both sides, ``float64 [n]``.
-        widths: Width at half the prominence, in samples, ``float64 [n]``.
-    """
-
-    places: NDArray[np.int64]
-    prominences: NDArray[np.float64]
-    widths: NDArray[np.float64]
-
-
-def prominent_peaks(values: NDArray[np.float64], prominence: float, window: int) -> Peaks:
-    """Return the peaks of some prominence.
+    The place of a plateau is its middle.
 
     Args:
         values: Evenly spaced samples.
@@ -125,4 +115,5 @@ def prominent_peaks(values: NDArray[np.float64], prominence: float, window: int)
         # SciPy warns of peaks without prominence before it leaves them out.
         warnings.simplefilter('ignore', RuntimeWarning)
         places, found = find_peaks(values, prominence=prominence, width=0.0, wlen=window)
-    return Peaks(places.astype(np.int64), found['prominences'], found['widths'])
+    sizes = found['prominences'].tolist(), found['widths'].tolist()
+    return list(zip(places.tolist(), *sizes, strict=True))

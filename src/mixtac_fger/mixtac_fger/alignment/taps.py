@@ -32,22 +32,10 @@ from numpy.typing import NDArray
 
 from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_fger.alignment.errors import NoImpulseError
-from mixtac_fger.alignment.histories import CellEvents, EventCounts, FrameFeatures
-from mixtac_fger.alignment.impulses import (
-    FORCE_GAP_S,
-    MIN_SPACING_S,
-    Impulse,
-    ImpulsePair,
-    paired_impulses,
-    strongest,
-)
+from mixtac_fger.alignment.histories import CellEvents, FrameFeatures, Recording
+from mixtac_fger.alignment.impulses import FORCE_GAP_S, ImpulsePair, paired_impulses
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_fger.alignment.signals import (
-    even_force,
-    gaussian_smooth,
-    pressing_sign,
-    prominent_peaks,
-)
+from mixtac_fger.alignment.signals import even_force, pressing_sign
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""
@@ -291,14 +279,8 @@ def _fire(
     return fired / phases
 
 
-SMOOTHING_S: Final = 0.006
-"""Standard deviation of the smoothing that merges both bursts of a tap [s]."""
-BURST_STD_S: Final = 0.003
-"""Standard deviation of the time of a smoothed burst [s]."""
 BURST_LATENCY_S: Final = 0.001
 """Delay from the force peak to the peak of the smoothed burst [s]."""
-BURST_MATCH_S: Final = 0.02
-"""Largest disagreement of a burst and a force peak that are the same tap [s]."""
 TAP_STD_S: Final = 4.5e-4
 """Scatter of taps of one sensor [s], found on simulated trials outside the benchmark."""
 COMMON_STD_S: Final = 1.0e-3
@@ -314,44 +296,33 @@ UNLOADED_PERCENT: Final = 5.0
 
 
 def fit_taps(
-    counts: EventCounts,
-    events: CellEvents,
-    frames: FrameFeatures | None,
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
+    recording: Recording,
     parameters: AlignmentParameters = DEFAULTS,
     *,
-    use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
-    """Fit the clock map to the first and the last tap.
+    """Fit the clock map to the first and the last tap, or to all of them.
+
+    Without some twenty frames, the direction that the events of a tap share weighs the cells.
 
     Args:
-        counts: Event counts, camera clock.
-        events: Events around the taps at least, camera clock.
-        frames: Frames, camera clock; without some twenty, the direction that the events of a tap
-            share weighs the cells.
-        force_t_s: Force sample times, reference clock [s], increasing.
-        force_N: Normal force [N], either sign.
+        recording: The recording.
         parameters: What counts as a tap, the latency of the events, limits of clocks.
-        use_all: Fit all strong taps by least squares instead of the first and the last.
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         AlignmentError: As `impulses.paired_impulses`, or taps whose events do not follow the
             force.
     """
-    pairs, start_s = paired_impulses(
-        *(counts, force_t_s, force_N, parameters, find_bursts),
-        match_s=BURST_MATCH_S,
-        max_gap_s=max_gap_s,
-    )
-    used = pairs if use_all else (pairs[0], pairs[-1])
+    counts, events = recording.counts, recording.events
+    force_t_s, force_N = recording.force_t_s, recording.force
+    pairs, start_s = paired_impulses(counts, force_t_s, force_N, parameters, max_gap_s=max_gap_s)
+    used = pairs if parameters.use_all else (pairs[0], pairs[-1])
     t_s, force = even_force(force_t_s - start_s, force_N)
     force = pressing_sign(force) * force
     force -= np.percentile(force, UNLOADED_PERCENT)
     cells = int(events.cell.max(initial=0)) + 1
-    weight = _weights(pairs, counts.start_us, frames, t_s, force, cells)
+    weight = _weights(pairs, counts.start_us, recording.frames, t_s, force, cells)
     anchors = []
     for number, pair in enumerate(used):
         model = TapModel(t_s, force, pair.reference.time_s, loaded=number > 0)
@@ -372,30 +343,6 @@ def fit_taps(
         common_std_s=1e-3 * parameters.tap_latency_std,
     )
     return with_drift_prior(fit, 1e-6 * parameters.drift_std)
-
-
-def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:
-    """Find bursts of the smoothed event rate that are as short as a tap's.
-
-    Args:
-        counts: Event counts, camera clock.
-        parameters: What counts as an impulse.
-
-    Returns:
-        Impulses in the order of time, relative to the start of the counts.
-    """
-    width_s = counts.width_us * 1e-6
-    rate = counts.counts.astype(np.float64) / width_s
-    smooth = gaussian_smooth(rate, SMOOTHING_S / width_s)
-    window = 2 * round(4.0 * parameters.max_width / width_s) + 1
-    peaks = prominent_peaks(smooth, parameters.min_burst_rate, window)
-    reach = round(0.05 / width_s)
-    impulses = [
-        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height))
-        for peak, height, width in zip(*peaks, strict=True)
-        if width * width_s <= 1.5 * parameters.max_width and not counts.lost_near(int(peak), reach)
-    ]
-    return strongest(impulses, MIN_SPACING_S)
 
 
 def _weights(

@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+
+from mixtac_fger.alignment.histories import BIN_US, EventCounts
 
 
 @dataclass
@@ -68,3 +71,14 @@ class Scene:
 def scene() -> type[Scene]:
     """Return the class, so that each test can set up its own scene."""
     return Scene
+
+
+@pytest.fixture(scope='session')
+def counted() -> Callable[[np.ndarray], EventCounts]:
+    """Return a function that counts events at times [us]."""
+
+    def count(t_us: np.ndarray) -> EventCounts:
+        first = int(t_us.min()) // BIN_US
+        return EventCounts(first * BIN_US, BIN_US, np.bincount(t_us // BIN_US - first))
+
+    return count

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mixtac_fger.alignment.align import Recording, align
+from mixtac_fger.alignment.align import align
 from mixtac_fger.alignment.errors import (
     AlignmentError,
     AmbiguousImpulsesError,
@@ -20,14 +21,13 @@ from mixtac_fger.alignment.errors import (
 )
 from mixtac_fger.alignment.histories import (
     CellEvents,
-    EventCounts,
     FrameHistory,
+    Recording,
     by_cell,
     reduce_frame,
 )
 from mixtac_fger.alignment.impulses import paired_impulses
 from mixtac_fger.alignment.parameters import DEFAULTS
-from mixtac_fger.alignment.taps import find_bursts
 
 NO_EVENTS = CellEvents(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.bool_))
 
@@ -38,14 +38,20 @@ def trial(request: pytest.FixtureRequest) -> Any:
     return world.simulate_trial(request.param, request.param, 'demo', 14.0)
 
 
-def recording_of(trial: Any, *, frames: bool = True) -> Recording:
+@pytest.fixture
+def recording_of(counted: Any) -> Any:
+    """Return a function that makes a recording of a trial."""
+    return partial(_recording_of, counted)
+
+
+def _recording_of(counted: Any, trial: Any, *, frames: bool = True) -> Recording:
     history = FrameHistory(100.0)
     if frames:
         spans = zip(trial.exposure_start_us, trial.exposure_end_us, trial.frames, strict=True)
         for start_us, end_us, image in spans:
             history.push(int(start_us), int(end_us), reduce_frame(image, 1023.0))
     return Recording(
-        counts=EventCounts.of(trial.events.t),
+        counts=counted(trial.events.t),
         events=by_cell(trial.events, 346, 260),
         frames=history.snapshot(),
         force_t_s=trial.reference_t_us * 1e-6,
@@ -56,7 +62,7 @@ def recording_of(trial: Any, *, frames: bool = True) -> Recording:
 
 
 @pytest.mark.parametrize('frames', [True, False])
-def test_simulated_trials_are_aligned(trial: Any, frames: bool) -> None:
+def test_simulated_trials_are_aligned(recording_of: Any, trial: Any, frames: bool) -> None:
     fit = align(recording_of(trial, frames=frames))
     rate, offset_us = trial.clock
     at = np.array([1, 7, 13]) * 1_000_000
@@ -68,38 +74,40 @@ def test_simulated_trials_are_aligned(trial: Any, frames: bool) -> None:
     assert fit.method == 'two_impulse'
 
 
-def pairs_of(events: np.ndarray, t: np.ndarray, force: np.ndarray) -> Any:
-    return paired_impulses(EventCounts.of(events), t, force, DEFAULTS, find_bursts, match_s=0.02)
+@pytest.fixture
+def pairs_of(counted: Any) -> Any:
+    """Return a function that pairs the impulses of events [us] and a force."""
+    return lambda events, t, force: paired_impulses(counted(events), t, force, DEFAULTS)
 
 
-def test_taps_are_paired_and_presses_are_not(scene: Any) -> None:
+def test_taps_are_paired_and_presses_are_not(scene: Any, pairs_of: Any) -> None:
     case = scene(taps_s=(1.0, 1.9, 12.1, 24.0), heights=(3.0, 2.5, 2.8, 3.1))
     pairs, start_s = pairs_of(*case.recording())
     found = [start_s + pair.reference.time_s for pair in pairs]
     assert found == pytest.approx(case.reference_s(np.array(case.taps_s)), abs=2e-3)
 
 
-def test_pressing_may_be_negative(scene: Any) -> None:
+def test_pressing_may_be_negative(scene: Any, pairs_of: Any) -> None:
     events, t, force = scene().recording()
     plus, minus = pairs_of(events, t, force), pairs_of(events, t, 4.0 - force)
     times = [[pair.reference.time_s for pair in pairs] for pairs, _ in (plus, minus)]
     assert times[0] == pytest.approx(times[1])
 
 
-def test_no_impulse_is_refused(scene: Any) -> None:
+def test_no_impulse_is_refused(scene: Any, pairs_of: Any) -> None:
     for taps in ((), (2.0,)):
         with pytest.raises(NoImpulseError):
             pairs_of(*scene(taps_s=taps, heights=(3.0,) * len(taps)).recording())
 
 
-def test_taps_of_another_recording_are_refused(scene: Any) -> None:
+def test_taps_of_another_recording_are_refused(scene: Any, pairs_of: Any) -> None:
     events, _, _ = scene().recording()
     _, t, force = scene(taps_s=(1.2, 20.1)).recording()
     with pytest.raises(NoImpulseError):
         pairs_of(events, t, force)
 
 
-def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any) -> None:
+def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any, pairs_of: Any) -> None:
     case = scene(taps_s=(2.0, 12.0, 22.0), heights=(3.0, 3.0, 3.0), presses=False)
     events, t, force = case.recording()
     cut = t < case.reference_s(np.array(15.0))
@@ -107,22 +115,22 @@ def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any) -> N
         pairs_of(events, t[cut], force[cut])
 
 
-def test_cut_off_peaks_are_refused(scene: Any) -> None:
+def test_cut_off_peaks_are_refused(scene: Any, pairs_of: Any) -> None:
     with pytest.raises(SaturatedImpulseError):
         pairs_of(*scene(limit=1.5, tap_s=0.03).recording())
 
 
-def test_a_recording_without_events_is_refused(trial: Any) -> None:
+def test_a_recording_without_events_is_refused(trial: Any, recording_of: Any) -> None:
     with pytest.raises(NoImpulseError):
         align(replace(recording_of(trial), events=NO_EVENTS))
 
 
-def test_taps_close_together_are_refused(trial: Any) -> None:
+def test_taps_close_together_are_refused(trial: Any, recording_of: Any) -> None:
     with pytest.raises(ShortBaselineError):
         align(recording_of(trial), replace(DEFAULTS, min_baseline=60.0))
 
 
-def test_empty_recordings_are_refused(scene: Any) -> None:
+def test_a_recording_without_force_is_refused(scene: Any, pairs_of: Any) -> None:
     events, t, force = scene(seconds=3.0, taps_s=(), heights=()).recording()
     with pytest.raises(AlignmentError):
-        pairs_of(events[:0], t, force)
+        pairs_of(events, t[:3], force[:3])

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from mixtac_fger.estimator import open_estimator
+from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
 from mixtac_learning.experiments.harness import (
@@ -106,7 +107,7 @@ def paper_rows() -> list[Row]:
 
 def our_rows(seconds: float) -> list[Row]:
     """Return size and speed of the shipped model, timed on a trial of a length [s]."""
-    found = open_estimator(read_model(find_model(DEFAULT_MODEL)))
+    found = FgerEstimator(read_model(find_model(DEFAULT_MODEL)))
     name = MODELS[OURS].label
     window_ms, frame_ms = step_times_ms(seconds)
     rows = [

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.frames import bin_mean
-from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import ImageError
 from mixtac_fger.weights import Model
 from mixtac_learning.network import count_parameters, usual_device
@@ -41,8 +41,8 @@ LEFT_ALIGNED = 64
 """Value of the converter's lowest bit in a left-aligned image of 16 bits."""
 
 
-class PaperEstimator:
-    """One of the paper's networks with its state; see `mixtac_fger.estimator.Estimator`.
+class PaperEstimator(Estimator):
+    """One of the paper's networks with its state.
 
     There is no no-contact reference that could be renewed: a network that reads frames against one
     takes the first `SETTLE_FRAMES` that it is given. The frames-only force of FGER-Net is its
@@ -55,9 +55,6 @@ class PaperEstimator:
     Raises:
         ModelError: The model is of another architecture, or its tensors do not fit.
     """
-
-    reference = None
-    gives_deviation = False
 
     def __init__(self, model: Model, device: str = '') -> None:
         self._device = torch.device(device or usual_device())
