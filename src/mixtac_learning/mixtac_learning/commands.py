@@ -12,14 +12,7 @@ import typer
 from mixtac_core.node.files import writable
 from mixtac_core.node.topics import REFERENCE
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
-from mixtac_learning.train.config import (
-    DataConfig,
-    RunConfig,
-    SimulatedData,
-    find_run_config,
-    read_run_config,
-    with_overrides,
-)
+from mixtac_learning.train.config import find_run_config, read_run_config, with_overrides
 from mixtac_sim.world.plans import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
@@ -41,31 +34,27 @@ JsonFile = Annotated[
 
 def train(
     config: Annotated[
-        OptionalStr,
+        str,
         typer.Argument(
             help='YAML file, or a shipped one: ours, fger_paper, frames, events, fusion, smoke.'
         ),
+    ] = 'ours',
+    bags: Annotated[
+        OptionalPaths,
+        typer.Option(help='Bags, or folder of bags, in place of the data that the file names.'),
+    ] = None,
+    start: Annotated[
+        OptionalStr,
+        typer.Option(help='Weight file, or name of a shipped model, to adapt to the bags.'),
     ] = None,
     out: Annotated[
         OptionalPath, typer.Option(help='Weight file to write.', callback=writable)
     ] = None,
     seed: Annotated[
         OptionalInt,
-        typer.Option(
-            min=0,
-            help='Random seed for initial weights and shuffling; without a file, for the simulated'
-            ' data as well.',
-        ),
+        typer.Option(min=0, help='Random seed for initial weights and shuffling.'),
     ] = None,
-    trials: Annotated[int, typer.Option(min=1, help='Simulated trials to train on.')] = 96,
-    gels: Annotated[int, typer.Option(min=1, help='Number of distinct simulated sensors.')] = 96,
-    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial (s).')] = 8.0,
-    epochs: Annotated[
-        int,
-        typer.Option(min=1, help='Epochs of the recurrent stage; the other stages scale with it.'),
-    ] = 60,
-    preset: Preset = TRAINING_PRESET,
-    jobs: Annotated[int, typer.Option(min=1, help='Number of simulating processes.')] = 2,
+    jobs: Annotated[int, typer.Option(min=1, help='Number of processes that prepare data.')] = 2,
     data: Annotated[OptionalPath, typer.Option(help='Folder of prepared samples.')] = None,
     folder: Annotated[
         OptionalPath,
@@ -75,38 +64,15 @@ def train(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Train a network as a YAML file describes, or FGER-Net on simulated sensors without one.
+    """Train a network as a YAML file describes.
 
-    With a file, only --out, --seed, --jobs, --data, --folder and --json are used.
-    Processes started by torchrun share the work.
+    With --start, the small network goes on from trained weights; a fifth of the trials is held back
+    and judged before and after. Processes started by torchrun share the work.
     """
     from mixtac_learning.train.run import run_training
 
-    if config is None:
-        chosen = _flags(trials, gels, seconds, epochs, preset, seed or 0)
-    else:
-        chosen = read_run_config(find_run_config(config))
-    run_training(with_overrides(chosen, out, seed, data), folder, jobs, json)
-
-
-def _flags(
-    trials: int, gels: int, seconds: float, epochs: int, preset: str, seed: int
-) -> RunConfig:
-    """Return the run that the options describe; nothing is held out."""
-    return RunConfig(
-        training={
-            'seed': seed,
-            'frame_epochs': -(-epochs // 2),
-            'recurrent_epochs': epochs,
-            'joint_epochs': epochs // 6,
-            'force_weight': 10.0,
-            'blow_every': 8,
-        },
-        data=DataConfig(
-            simulated=SimulatedData((preset,), min(gels, trials), trials, seconds, (), seed),
-            checked=0.0,
-        ),
-    )
+    chosen = read_run_config(find_run_config(config))
+    run_training(with_overrides(chosen, out, seed, data, bags or (), start), folder, jobs, json)
 
 
 def evaluate(
@@ -128,8 +94,7 @@ def evaluate(
     series: Annotated[
         OptionalPath,
         typer.Option(
-            help='.csv or .npz file for the forces over time, with deviation, validity and'
-            ' reference.',
+            help='CSV file for the forces over time, with deviation, validity and reference.',
             callback=writable,
         ),
     ] = None,

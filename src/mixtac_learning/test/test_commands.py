@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import json
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,13 +35,14 @@ from mixtac_learning.train.loop import TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining
 from mixtac_learning.train.run import (
     Trained,
+    TrainingData,
     held_out,
     judge_trained,
     run_training,
     train_model,
 )
 from mixtac_learning.trials.bags import BagSource
-from mixtac_learning.trials.trial import SimulatedSource
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import TrialSpec
 from mixtac_sim.world.sensor import TRUTH_DTYPE
@@ -77,12 +77,20 @@ def simulated(monkeypatch, trial) -> list[str]:
     return names
 
 
-def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys, monkeypatch):
-    monkeypatch.setattr(training_cli, 'RunConfig', functools.partial(RunConfig, judged=1))
-    out, report = tmp_path / 'small.safetensors', tmp_path / 'report.json'
-    options = {'seed': 1, 'trials': 3, 'gels': 3, 'seconds': 6.0, 'epochs': 6, 'jobs': 1}
-    folders = {'data': tmp_path / 'data', 'folder': tmp_path / 'run'}
-    training_cli.train(out=out, **options, **folders, json=report)
+RUN = """model: ours
+judged: 1
+training: {{seed: 1, frame_epochs: 3, recurrent_epochs: 6, joint_epochs: 1, force_weight: 10.0}}
+data:
+  simulated: {{presets: [easy], sensors: 3, trials: 3, seconds: 6.0, seed: 1}}
+  cache: {cache}
+  checked: 0.0
+"""
+
+
+def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
+    run, out, report = (tmp_path / name for name in ('run.yaml', 'a.safetensors', 'report.json'))
+    run.write_text(RUN.format(cache=tmp_path / 'data'))
+    training_cli.train(str(run), out=out, jobs=1, folder=tmp_path / 'run', json=report)
     card = read_model(out).card
     assert card.training['device_seeds'] == [101_000, 101_002]
     assert card.training['trials'] == 3
@@ -103,6 +111,42 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys, mo
     assert figures['all']['mae'] == pytest.approx(card.metrics['unseen_devices']['all']['mae'])
     assert figures['all']['reference_mae'] > 0.0
     assert picture.exists()
+
+
+def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial, monkeypatch):
+    """The bags are of a gel twice as stiff as the one that the model was trained on."""
+    stiff = replace(trial, truth=ForceLabel(trial.truth.t_us, 2.0 * trial.truth.force))
+    monkeypatch.setattr(BagSource, 'load', lambda bag: replace(stiff, origin=bag.origin))
+    monkeypatch.setattr(BagSource, 'content_key', lambda bag: bag.name)
+    bags = [BagSource(tmp_path / f'trial_{number}') for number in range(5)]
+    monkeypatch.setattr('mixtac_learning.train.run.bag_sources', lambda *_: bags)
+    report, out = tmp_path / 'report.json', tmp_path / 'lab.safetensors'
+    folders = {'data': tmp_path / 'data', 'folder': tmp_path / 'run'}
+    options = {'bags': [tmp_path], 'start': 'fger_small', 'out': out, 'jobs': 1, 'json': report}
+    training_cli.train('ours', **options, **folders)
+    start, model = read_model(find_model('fger_small')), read_model(out)
+    figures = json.loads(report.read_text())['metrics']
+    assert figures['after']['all']['mae'] < 0.8 * figures['before']['all']['mae']
+    assert figures['before']['all']['trials'] == 1
+    assert (model.card.training['trials'], model.card.training['start']) == (4, 'fger_small')
+    assert model.config == start.config
+    changed = {
+        n for n, value in model.tensors.items() if not np.array_equal(value, start.tensors[n])
+    }
+    assert {'frame.head.weight', 'correction.2.weight'} <= changed
+    assert not [n for n in changed if n.startswith(('frame.convolutions', 'shear.'))]
+
+
+def test_a_single_bag_and_networks_of_the_paper_are_not_adapted(tmp_path, trial, monkeypatch):
+    with pytest.raises(ConfigError):
+        training_cli.train('frames', bags=[tmp_path], start='fger_small')
+    monkeypatch.setattr(BagSource, 'load', lambda _bag: trial)
+    monkeypatch.setattr(BagSource, 'content_key', lambda bag: bag.name)
+    monkeypatch.setattr('mixtac_learning.train.run.bag_sources', lambda *_: [BagSource(tmp_path)])
+    with pytest.raises(DatasetError):
+        training_cli.train(
+            'ours', bags=[tmp_path], start='fger_small', jobs=1, data=tmp_path / 'data'
+        )
 
 
 def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
@@ -137,13 +181,17 @@ def test_trials_of_bags_beside_simulated_ones_do_not_count_as_simulated_sensors(
     tmp_path, simulated, monkeypatch
 ):
     monkeypatch.setattr('mixtac_learning.train.run.judge_devices', lambda *_: ([], {}))
+
+    def trained(*sources):
+        return Trained(model, [], TrainingData([], [], list(sources), [], {}))
+
     config = RunConfig(data=DataConfig(SimulatedData(('easy',)), bags=(str(tmp_path),)), judged=1)
     model = read_model(find_model('fger_small'))
     bag = BagSource(tmp_path / 'trial_1')
     spec = TrialSpec(100_000, 100_000, 'press', 4.0)
-    found = judge_trained(config, Trained(model, [], [bag, SimulatedSource(spec)], {}))
+    found = judge_trained(config, trained(bag, SimulatedSource(spec)))
     assert set(found) == {'seen_devices', 'unseen_devices'}
-    assert set(judge_trained(config, Trained(model, [], [bag], {}))) == {'unseen_devices'}
+    assert set(judge_trained(config, trained(bag))) == {'unseen_devices'}
 
 
 def test_a_finished_run_is_not_trained_again(tmp_path, simulated, monkeypatch):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from mixtac_learning.experiments.harness import (
     Row,
     Value,
     experiment,
-    mark,
 )
 from mixtac_learning.experiments.training import (
     MODELS,
@@ -30,7 +28,7 @@ from mixtac_learning.experiments.training import (
     rate_hz,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.judge.metrics import ROLLING_S, moving_mean, peak_error
+from mixtac_learning.judge.metrics import peak_error
 from mixtac_learning.judge.report import PAPER, TRUTH, new_axes, plot_forces, save_figure
 from mixtac_learning.train.config import OURS
 
@@ -47,7 +45,6 @@ Bins = list['NDArray[np.float64]']
 def rows_of(
     found: Estimates,
     *,
-    simulated: bool,
     paper: Mapping[str, Mapping[str, float]],
     place: str,
     conditions: str,
@@ -57,7 +54,6 @@ def rows_of(
 
     Args:
         found: Estimates.
-        simulated: Whether the trials are simulated.
         paper: The paper's values by model.
         place: Section, figure or table of the paper.
         conditions: Which trials these are.
@@ -66,9 +62,9 @@ def rows_of(
     rows: list[Row] = []
     for model, by_seed in found.items():
         name, known = MODELS[model].label, paper[model]
-        rows += error_rows(name, by_seed, known, place, conditions, simulated=simulated)
+        rows += error_rows(name, by_seed, known, place, conditions)
         if more is not None:
-            rows.append(replace(more(model, list(by_seed.values())), simulated=simulated))
+            rows.append(more(model, list(by_seed.values())))
     return rows
 
 
@@ -78,6 +74,19 @@ def stability(context: Context) -> Outcome:
     return force_outcome(
         context, 'long_term', 'stability', _stability_rows, _draw_stability, 'whole trials'
     )
+
+
+ROLLING_S = 0.5
+"""Window of the rolling error (paper, section IV-B) [s]."""
+
+
+def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Return the centred mean over `width` samples, of fewer at the ends, [T]."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low = np.maximum(index - width // 2, 0)
+    high = np.minimum(index - width // 2 + width, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def rolling_bins(estimate: TrialEstimate) -> Bins:
@@ -102,7 +111,7 @@ def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
     ]
 
 
-def _stability_rows(found: Estimates, *, simulated: bool) -> list[Row]:
+def _stability_rows(found: Estimates) -> list[Row]:
     rows = []
     for model, by_seed in found.items():
         name = MODELS[model].label
@@ -113,12 +122,12 @@ def _stability_rows(found: Estimates, *, simulated: bool) -> list[Row]:
             medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
             title = f'{name}: median rolling MAE, {span}'
             place = STABILITY_PLACE if paper is not None else ''
-            rows.append(Row(title, medians, paper, place, 'N', STABILITY_CONDITIONS, simulated))
-        rows += error_rows(name, by_seed, {}, '', 'whole trials', simulated=simulated)[:1]
+            rows.append(Row(title, medians, paper, place, 'N', STABILITY_CONDITIONS))
+        rows += error_rows(name, by_seed, {}, '', 'whole trials')[:1]
     return rows
 
 
-def _draw_stability(path: Path, found: Estimates, *, simulated: bool) -> Path:
+def _draw_stability(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(columns=len(found), width=9.0, height=3.6)
     top = 0.0
     for ax, (model, by_seed) in zip(axes, found.items(), strict=True):
@@ -141,7 +150,7 @@ def _draw_stability(path: Path, found: Estimates, *, simulated: bool) -> Path:
             label="paper's medians",
         )
         top = max(top, *(float(np.quantile(values, 0.99)) for values in bins), 0.1)
-        ax.set(title=f'{MODELS[model].label}, {mark(simulated)}', xlabel='time since the start [s]')
+        ax.set(title=f'{MODELS[model].label}, simulated', xlabel='time since the start [s]')
         ax.legend(loc='upper right', frameon=False, fontsize=8)
     for ax in axes:
         ax.set_ylim(0.0, 1.1 * top)
@@ -178,19 +187,19 @@ def inputs(context: Context) -> Outcome:
     return force_outcome(context, 'dynamic', 'inputs', rows, _draw_inputs, conditions)
 
 
-def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
+def _draw_inputs(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(rows=2, width=9.0, height=6.0)
     first = found[OURS][0][0]
     start = first.t_us[0] + 0.3 * (first.t_us[-1] - first.t_us[0])
     length = min(SHOWN_S, 1e-6 * float(first.t_us[-1] - start))
     for ax, models in zip(axes, (('frames', 'events'), ('fger', OURS)), strict=True):
         curves = {MODELS[model]: found[model][0][0] for model in models}
-        plot_forces(ax, first, curves, start, (0.0, length), simulated=simulated)
+        plot_forces(ax, first, curves, start, (0.0, length))
         ax.set(ylabel='normal force [N]')
         ax.legend(loc='upper right', ncols=3, frameon=False, fontsize=8)
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.22 * (high - low))
-    axes[0].set_title(f'{first.name}, {mark(simulated)}', loc='left', fontsize=10)
+    axes[0].set_title(f'{first.name}, simulated', loc='left', fontsize=10)
     axes[-1].set_xlabel('time [s]')
     return save_figure(figure, path)
 
@@ -213,7 +222,7 @@ def fusion(context: Context) -> Outcome:
     return force_outcome(context, 'static', 'fusion', rows, _draw_fusion, conditions)
 
 
-def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
+def _draw_fusion(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(columns=3, width=9.0, height=3.6)
     for ax, (key, title) in zip(
         axes, (('mae', 'MAE [N]'), ('rmse', 'RMSE [N]'), ('r2', 'R2')), strict=True
@@ -226,7 +235,7 @@ def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
             ax.plot(k + 0.2, FUSION_PAPER[model][key], 'D', color=PAPER, ms=6, label=label)
         ax.axhline(0.0, color=TRUTH, lw=0.6)
         ax.set_xticks(range(len(found)), [MODELS[model].short for model in found], fontsize=8)
-        ax.set_title(f'{title}, {mark(simulated)}', fontsize=10)
+        ax.set_title(f'{title}, simulated', fontsize=10)
         ax.grid(visible=False, axis='x')
     axes[0].legend(frameon=False, fontsize=8)
     return save_figure(figure, path)
@@ -259,16 +268,16 @@ def impact(context: Context) -> Outcome:
     return force_outcome(context, 'impact', 'impact', rows, _draw_impact, conditions)
 
 
-def _draw_impact(path: Path, found: Estimates, *, simulated: bool) -> Path:
+def _draw_impact(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(columns=2, width=10.0, height=3.8)
     first = found[OURS][0][0]
     # The synchronising taps reach 2 N at most; the impact is the largest force.
     onset = first.t_us[int(np.argmax(first.known))]
     curves = {MODELS[model]: by_seed[0][0] for model, by_seed in found.items()}
     for ax, span in zip(axes, (WHOLE_S, CLOSE_S), strict=True):
-        plot_forces(ax, first, curves, onset, span, simulated=simulated)
+        plot_forces(ax, first, curves, onset, span)
         ax.set(xlabel='time from the peak [s]')
-    axes[0].set(ylabel='normal force [N]', title=f'{first.name}, {mark(simulated)}')
+    axes[0].set(ylabel='normal force [N]', title=f'{first.name}, simulated')
     axes[0].title.set_fontsize(9)
     axes[1].legend(frameon=False, fontsize=8)
     return save_figure(figure, path)

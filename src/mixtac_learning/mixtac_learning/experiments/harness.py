@@ -1,24 +1,31 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How an experiment becomes a command, and how commands run experiments and report them.
+"""How an experiment becomes a command, stores its results, and reports them.
 
 An experiment is a function that takes a `Context` and returns an `Outcome`: rows that set our
-values beside the values of the paper, figures, and a list of differences from the paper.
+values beside the values of the paper, figures, and a list of differences from the paper. Long
+computations are cut into pieces whose results are stored in a folder, so that an interrupted run
+continues where it stopped.
 """
 
 from __future__ import annotations
 
 import datetime as dt
+import functools
+import hashlib
 import importlib
+import json as json_text
 import math
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, List, Optional  # noqa: UP035
 
+import joblib
 import numpy as np
 import typer
 from rich.console import Console
@@ -26,34 +33,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import read_data, structure, write_json, write_text
-from mixtac_core.recordings.recording import RecordingError
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.commands import JsonFile, OptionalPath
 from mixtac_learning.experiments import EXPERIMENTS
-from mixtac_learning.experiments.store import Piece, compute
 from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig
 from mixtac_sim.world.plans import simulator_digest
 
 PRESET = 'paper_like'
 """Difficulty preset of the simulated sensors."""
-UNTRAINED = frozenset({'constant', 'all_but_stiffness'})
-"""Rows that need no training: the best constant, and `StiffnessBound`."""
-PROTOCOLS = ('paper', 'other_days')
-"""One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
-days of a sensor and tested on others."""
-ROWS = (
-    *('constant', 'frames', 'frames_reference', 'events', 'fusion', 'fusion_reference'),
-    *(
-        'fger',
-        'fger_reference',
-        'fger_reference_flow',
-        OURS,
-        'without_reference',
-        'ours_many_sensors',
-        'all_but_stiffness',
-    ),
-)
-"""Models of the table, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +57,6 @@ class Sizes:
         paper_network: Differences from the paper's network sizes.
         paper_training: Differences from the paper's training settings.
         our_training: Training settings of our network.
-        many_training: Differences for the model that is trained on many sensors.
-        sensors: Sensors of that model, one trial each.
-        unseen: Test sensors that no training uses; 0 for none, and no mismatches either.
         session: Number and length [s] of the trials of the protocol `paper`, by profile.
         session_training: Differences of the training by that protocol, for networks of the `paper`
             and for `ours`.
@@ -89,30 +74,12 @@ class Sizes:
     paper_network: dict[str, Any]
     paper_training: dict[str, Any]
     our_training: dict[str, Any]
-    many_training: dict[str, Any] = field(default_factory=dict)
-    sensors: int = 0
-    unseen: int = 0
     session: dict[str, tuple[int, float]] = field(default_factory=dict)
     session_training: dict[str, dict[str, Any]] = field(default_factory=dict)
     tones_hz: tuple[float, ...] = ()
     fast_tones_hz: tuple[float, ...] = ()
     grasps: dict[str, int] = field(default_factory=dict)
     latency_seconds: float = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """A variant of a model.
-
-    Attributes:
-        model: The model.
-        network: Differences in its network.
-        training: Differences in its training.
-    """
-
-    model: str
-    network: dict[str, Any] = field(default_factory=dict)
-    training: dict[str, Any] = field(default_factory=dict)
 
 
 _PATH = Path(__file__).with_name('sizes.yaml')
@@ -126,19 +93,13 @@ def _sizes(table: str) -> dict[str, Sizes]:
     }
 
 
-def _variants(table: str) -> dict[str, Variant]:
-    return {name: structure(v, Variant, f'{_PATH}: {name}') for name, v in _TABLES[table].items()}
-
-
 PAPER_SIZES = _sizes('paper')
 """Sizes of the experiments of the paper."""
 FULL, QUICK = PAPER_SIZES['full'], PAPER_SIZES['quick']
 TABLE_SIZES = _sizes('table')
 """Sizes of the table of all models (`mixtac experiments models --size`)."""
-CHOICES = _variants('choices')
-"""Our network with one design choice undone."""
-VARIANTS = _variants('variants') | CHOICES
-ALL_ROWS = tuple(dict.fromkeys((*ROWS, *VARIANTS)))
+VARIANTS: dict[str, dict[str, Any]] = _TABLES['variants']
+"""Model, and differences in `network` and `training`, by name."""
 
 
 def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConfig:
@@ -146,24 +107,111 @@ def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConf
 
     Args:
         sizes: Training settings.
-        model: One of `ALL_ROWS`.
+        model: A model, or one of `VARIANTS`.
         seed: Seed of initial weights and order.
         data: Training trials.
     """
-    base = OURS if model in {'ours_many_sensors'} | UNTRAINED else model
-    variant = VARIANTS.get(model, Variant(base))
-    ours = variant.model == OURS
+    variant = {'network': {}, 'training': {}} | VARIANTS.get(model, {'model': model})
+    ours = variant['model'] == OURS
     training = sizes.our_training if ours else sizes.paper_training
     if data.simulated is not None and data.simulated.session:
         training = training | sizes.session_training.get(OURS if ours else 'paper', {})
-    if model == 'ours_many_sensors':
-        training = training | sizes.many_training
     return RunConfig(
-        model=variant.model,
-        network=variant.network if ours else sizes.paper_network | variant.network,
-        training=training | variant.training | {'seed': seed},
+        model=variant['model'],
+        network=variant['network'] if ours else sizes.paper_network | variant['network'],
+        training=training | variant['training'] | {'seed': seed},
         data=data,
     )
+
+
+PACKAGES = ('core', 'fger', 'sim', 'slip_control', 'learning')
+"""Packages that results depend on, without `mixtac_`."""
+
+
+@functools.cache
+def code_version() -> str:
+    """Return a digest of the files of `PACKAGES` and of the shipped weights."""
+    digest = hashlib.blake2b(find_model(DEFAULT_MODEL).read_bytes(), digest_size=6)
+    for name in PACKAGES:
+        root = Path(str(files(f'mixtac_{name}')))
+        for path in sorted(root.rglob('*')):
+            if path.is_file() and path.parent.name != '__pycache__':
+                digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One piece of work; can be sent to another process.
+
+    The result is JSON in a file whose name holds a digest of arguments and code. Larger arrays are
+    in files beside it whose names begin with the same stem.
+
+    Attributes:
+        label: Prefix of its file names.
+        function: Called with the path of the result without suffix, which is the prefix for further
+            files, and with `arguments`; returns the result, ready for JSON.
+        arguments: Everything else that the function needs; their `repr` is part of the digest.
+    """
+
+    label: str
+    function: Callable[..., dict[str, Any]]
+    arguments: tuple[Any, ...]
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without suffix."""
+        key = f'{self.function.__qualname__} {self.arguments!r} {code_version()}'
+        return f'{self.label}-{hashlib.blake2b(key.encode(), digest_size=6).hexdigest()}'
+
+    def result(self, folder: Path) -> dict[str, Any] | None:
+        """Return the stored result, None if there is none or it is damaged."""
+        try:
+            text = (folder / f'{self.stem}.json').read_text('utf-8')
+            found: dict[str, Any] = json_text.loads(text)
+        except (OSError, ValueError):
+            return None
+        return found
+
+
+def compute(
+    folder: Path, pieces: Sequence[Piece], jobs: int = 1, advance: Callable[[], Any] = lambda: None
+) -> list[dict[str, Any]]:
+    """Return the results of pieces in their order; compute and store the missing ones.
+
+    Args:
+        folder: Folder of the results.
+        pieces: What to compute.
+        jobs: Number of processes.
+        advance: Called after each piece.
+
+    Raises:
+        MixtacError: A piece failed; the results of finished pieces stay stored.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    results = [piece.result(folder) for piece in pieces]
+    missing = [index for index, result in enumerate(results) if result is None]
+    for _ in range(len(pieces) - len(missing)):
+        advance()
+    calls = [
+        joblib.delayed(_compute)(folder / pieces[index].stem, index, pieces[index])
+        for index in missing
+    ]
+    # Processes share the cores, so each gets one thread.
+    with joblib.parallel_config(
+        'loky', n_jobs=min(jobs, len(missing)) or 1, inner_max_num_threads=1
+    ):
+        parallel = joblib.Parallel(return_as='generator_unordered', batch_size=1)
+        for index, result in parallel(calls):
+            results[index] = result
+            advance()
+    return [result for result in results if result is not None]
+
+
+def _compute(base: Path, index: int, piece: Piece) -> tuple[int, dict[str, Any]]:
+    result = piece.function(base, *piece.arguments)
+    write_json(base.with_name(f'{base.name}.json'), result)
+    return index, result
 
 
 HEADINGS = ('what', 'ours', 'paper', 'unit')
@@ -249,8 +297,6 @@ class Outcome:
         rows: Values beside those of the paper.
         figures: Image files by caption.
         deviations: Differences from the paper's protocol.
-        skipped: Why the experiment was not run; empty if it was.
-        table: A table as the paper prints it, headings first; empty for none.
     """
 
     name: str
@@ -260,8 +306,6 @@ class Outcome:
     rows: list[Row] = field(default_factory=list)
     figures: dict[str, Path] = field(default_factory=dict)
     deviations: tuple[str, ...] = ()
-    skipped: str = ''
-    table: tuple[tuple[str, ...], ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return values ready for JSON; figures by their file names."""
@@ -281,7 +325,7 @@ def texts(name: str) -> dict[str, Any]:
 
 
 def write_report(
-    folder: Path, outcomes: Sequence[Outcome], run: Mapping[str, Any], json: Path | None = None
+    folder: Path, outcomes: Sequence[Outcome], run: dict[str, Any], json: Path | None = None
 ) -> None:
     """Write `report.md` and `report.json`.
 
@@ -289,22 +333,23 @@ def write_report(
         folder: Folder of the report.
         outcomes: Results of the experiments.
         run: Description of the run: command, sizes, seeds, versions.
-        json: Another file for what `report.json` holds; None for none.
+        json: Another file for the content of `report.json`; None for none.
     """
     experiments = [outcome.as_dict() for outcome in outcomes]
     rows = [{'experiment': each['name']} | row for each in experiments for row in each['rows']]
-    content = {'run': dict(run), 'rows': rows, 'experiments': experiments}
     for path in (folder / 'report.json', json):
-        write_json(path, content)
-    write_text(folder / 'report.md', '\n'.join(map(_markdown, outcomes)))
+        write_json(path, {'run': run, 'rows': rows, 'experiments': experiments})
+    lines: list[str] = []
+    for outcome in outcomes:
+        lines += [f'### {outcome.title}', '', f'{outcome.data}.', '']
+        lines += [f'| {" | ".join(HEADINGS)} |', '|---|---:|---:|---|']
+        lines += [*(f'| {" | ".join(row.cells)} |' for row in outcome.rows), '']
+    write_text(folder / 'report.md', '\n'.join(lines))
 
 
 def show_report(console: Console, outcomes: Sequence[Outcome]) -> None:
     """Print the rows of all outcomes as tables."""
     for outcome in outcomes:
-        if outcome.skipped:
-            console.print(f'{outcome.title} skipped: {outcome.skipped}')
-            continue
         rows = [
             (
                 f'{row.name}, simulated' if row.simulated and row.ours.count else row.name,
@@ -313,16 +358,6 @@ def show_report(console: Console, outcomes: Sequence[Outcome]) -> None:
             for row in outcome.rows
         ]
         console.print(make_table(f'{outcome.title}: {outcome.data}', HEADINGS, rows))
-
-
-def _markdown(outcome: Outcome) -> str:
-    """Return the rows of an outcome as a Markdown table, for documentation."""
-    parts = [f'### {outcome.title}', '', f'{outcome.data}.', '']
-    if outcome.skipped:
-        return '\n'.join([*parts, f'Skipped: {outcome.skipped}', ''])
-    parts += [f'| {" | ".join(HEADINGS)} |', '|---|---:|---:|---|']
-    parts += [f'| {" | ".join(row.cells)} |' for row in outcome.rows]
-    return '\n'.join([*parts, ''])
 
 
 def number(value: float) -> str:
@@ -336,11 +371,6 @@ def number(value: float) -> str:
     return f'{value:.3g}'
 
 
-def mark(simulated: bool) -> str:
-    """Return the word for the origin of the data in titles."""
-    return 'simulated' if simulated else 'recorded'
-
-
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 ALL = 'all'
@@ -349,7 +379,7 @@ NO_EXPERIMENTS = {ALL, 'models'}
 
 
 class ExperimentError(MixtacError):
-    """An experiment that does not exist, or that cannot be run."""
+    """An experiment that does not exist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,10 +388,9 @@ class Context:
 
     Attributes:
         sizes: How much to compute.
-        folder: Folder of the report; what is stored lies below it.
-        seeds: Number of seeds; each is another training and, simulated, another sensor.
+        folder: Folder of the report and of the stored results.
+        seeds: Number of seeds; each is another training and another simulated sensor.
         jobs: Number of processes.
-        bags: Folder of the user's recordings; None to simulate.
         progress: Shows progress bars.
     """
 
@@ -369,7 +398,6 @@ class Context:
     folder: Path
     seeds: int
     jobs: int
-    bags: Path | None
     progress: Progress
 
     @property
@@ -414,21 +442,12 @@ def make_command(name: str, text: str | None) -> Callable[..., None]:
             OptionalPath,
             typer.Option(help='Output folder; an interrupted run continues there.'),
         ] = None,
-        bags: Annotated[
-            OptionalPath,
-            typer.Option(
-                exists=True,
-                file_okay=False,
-                help='Folder of your recordings; see docs/experiments.md.',
-            ),
-        ] = None,
         seeds: Annotated[
             int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
         ] = 0,
         jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 0,
     ) -> None:
-        console, chosen = Console(markup=False), select([name, *(more or [])])
-        run_experiments(console, chosen, quick, json, out, bags, seeds, jobs)
+        run_experiments([name, *(more or [])], quick, json, out, seeds, jobs)
 
     command.__name__, command.__doc__ = name, text
     return command
@@ -462,68 +481,50 @@ def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
 
 
 def run_experiments(
-    console: Console,
-    chosen: Mapping[str, Callable[[Context], Outcome]],
+    names: Sequence[str],
     quick: bool = False,
     json: Path | None = None,
     out: Path | None = None,
-    bags: Path | None = None,
     seeds: int = 0,
     jobs: int = 0,
 ) -> list[Outcome]:
     """Run experiments and write the report.
 
     Args:
-        console: Shows progress and results.
-        chosen: Experiments by name, from `select`.
+        names: Names of experiments, or `all`.
         quick: Use the sizes that need minutes only.
         json: Another file for the results.
         out: Folder of the report; None for one below `runs`.
-        bags: Folder of recordings; None to simulate.
         seeds: Number of seeds; 0 for the default.
         jobs: Number of processes; 0 for one per core.
 
     Raises:
-        MixtacError: An experiment failed; finished pieces stay stored.
+        MixtacError: An experiment does not exist, or failed; finished pieces stay stored.
     """
-    size = QUICK if quick else FULL
-    folder = out or Path('runs') / f'experiments_{size.name}{"" if bags is None else "_bags"}'
+    chosen, size, console = select(names), QUICK if quick else FULL, Console(markup=False)
+    folder = out or Path('runs') / f'experiments_{size.name}'
     seeds, jobs = seeds or (1 if quick else 3), jobs or os.cpu_count() or 1
-    started, outcomes = time.monotonic(), []
+    started = time.monotonic()
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        context = Context(size, folder, seeds, jobs, bags, progress)
-        for name, run in chosen.items():
-            try:
-                outcomes.append(run(context))
-            except RecordingError as error:
-                # Of several experiments, one without its recordings is skipped.
-                if bags is None or len(chosen) == 1:
-                    raise
-                skipped = Outcome(name, name.capitalize(), '-', bags.name, skipped=str(error))
-                outcomes.append(skipped)
-    write_report(folder, outcomes, _describe(list(chosen), context, started), json)
-    show_report(console, outcomes)
-    console.print(f'report: {folder / "report.md"}')
-    return outcomes
-
-
-def _describe(names: Sequence[str], context: Context, started: float) -> dict[str, Any]:
-    """Return the description of a run for its report."""
-    options = ['--quick'] if context.sizes.name == 'quick' else []
-    options += [f'--seeds {context.seeds}', f'--out {context.folder.name}']
-    options += [] if context.bags is None else [f'--bags {context.bags.name}']
+        context = Context(size, folder, seeds, jobs, progress)
+        outcomes = [run(context) for run in chosen.values()]
+    options = ['--quick'] * quick + [f'--seeds {seeds}', f'--out {folder.name}']
     minutes = (time.monotonic() - started) / 60
-    return {
-        'command': ' '.join(['./mixtac experiments', *names, *options]),
-        'experiments': ', '.join(names),
-        'sizes': context.sizes.name,
-        'seeds': context.seeds,
-        'processes': context.jobs,
-        'data': 'virtual sensor (simulated)' if context.bags is None else context.bags.name,
+    description = {
+        'command': ' '.join(['./mixtac experiments', *chosen, *options]),
+        'experiments': ', '.join(chosen),
+        'sizes': size.name,
+        'seeds': seeds,
+        'processes': jobs,
+        'data': 'virtual sensor (simulated)',
         'simulator': simulator_digest(),
         'machine': f'{os.cpu_count()} cores, {platform.machine()}, Python '
         f'{platform.python_version()}',
         'minutes': f'{minutes:.1f}, without results that were stored before',
         'date': f'{dt.datetime.now(dt.timezone.utc):%Y-%m-%d}',
     }
+    write_report(folder, outcomes, description, json)
+    show_report(console, outcomes)
+    console.print(f'report: {folder / "report.md"}')
+    return outcomes

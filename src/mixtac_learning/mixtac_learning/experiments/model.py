@@ -22,18 +22,15 @@ from mixtac_learning.experiments.harness import (
     Row,
     Value,
     experiment,
-    mark,
-    number,
     texts,
 )
 from mixtac_learning.experiments.training import (
     MODELS,
-    Estimates,
+    describe,
     deviations,
-    estimates,
     pooled,
+    profile_estimates,
     rate_hz,
-    trial_sets,
 )
 from mixtac_learning.judge.estimators import TrialEstimate, windows_of
 from mixtac_learning.network import count_parameters
@@ -200,29 +197,20 @@ TABLE_PLACE = 'section V-B, table III'
 @experiment
 def comparison(context: Context) -> Outcome:
     """Rate, error and range beside other sensors."""
-    sets = trial_sets(context)
-    found = estimates(context, 'dynamic')
+    found = profile_estimates(context, 'dynamic')
     rows = []
     for model in (OURS, 'fger'):
         values = _figures(found[model])
         for (title, value, unit), paper in zip(values, MIXTAC, strict=True):
             name = f'Mixtac, frames and events, {MODELS[model].label}: {title}'
-            rows.append(
-                Row(name, value, paper, TABLE_PLACE, unit, 'dynamic trials', sets.simulated)
-            )
+            rows.append(Row(name, value, paper, TABLE_PLACE, unit, 'dynamic trials'))
     for sensor, kind, *numbers in OTHERS:
         for (title, _, unit), paper in zip(values, numbers, strict=True):
             name, text = f'{sensor}, {kind}: {title}', 'cited by the paper'
             rows.append(Row(name, Value.of([]), paper, TABLE_PLACE, unit, text, simulated=False))
     fields = texts('comparison')
-    ours = (
-        'Our row is of a simulated sensor; the others are of real ones.'
-        if sets.simulated
-        else 'Our row is of the given recordings.'
-    )
-    fields['deviations'] = (*deviations(context.sizes), ours, *fields['deviations'])
-    table = sensor_table(found, simulated=sets.simulated)
-    return Outcome(data=sets.describe('dynamic'), rows=rows, table=table, **fields)
+    fields['deviations'] = (*deviations(context.sizes), *fields['deviations'])
+    return Outcome(data=describe(context.sizes, 'dynamic'), rows=rows, **fields)
 
 
 def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value, str], ...]:
@@ -233,17 +221,3 @@ def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value,
         ('MAE of the normal force', Value.of(each.mae for each in metrics), 'N'),
         ('largest force tested', Value.of(each.peak_truth for each in metrics), 'N'),
     )
-
-
-def sensor_table(found: Estimates, *, simulated: bool) -> tuple[tuple[str, ...], ...]:
-    """Return the paper's table with our rows."""
-    lines: list[tuple[str, ...]] = [
-        ('sensor', 'input', 'rate [Hz]', 'normal force error [N]', 'range [N]')
-    ]
-    lines += [(name, kind, *map(number, values)) for name, kind, *values in OTHERS]
-    lines.append(('Mixtac (paper)', 'frames and events', *map(number, MIXTAC)))
-    for model in (OURS, 'fger'):
-        name = f'{MODELS[model].label}, {mark(simulated)}'
-        values = [str(value) for _, value, _ in _figures(found[model])]
-        lines.append((name, 'frames and events', *values))
-    return tuple(lines)

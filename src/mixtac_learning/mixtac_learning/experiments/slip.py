@@ -12,37 +12,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
+    Piece,
     Row,
     Value,
     experiment,
-    mark,
     texts,
 )
 from mixtac_learning.experiments.slip_loop import (
-    SIDEWAYS,
     ClosedLoop,
     Floats,
     LoopRecord,
     SensedForce,
     calibrate,
 )
-from mixtac_learning.experiments.store import Piece
 from mixtac_learning.experiments.training import MODELS
 from mixtac_learning.judge.report import PAPER, new_axes, save_figure
 from mixtac_learning.train.config import OURS
-from mixtac_sim.arm import READY
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.effects import preset
-from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.parameters import SlipControlParameters
 
 GRID_S = 1e-6 * STEP_US
@@ -107,28 +100,6 @@ def arrest_of(
     return Arrest(slip, 1e-3 * float(t_us[last] - onset_us) if stopped else float('nan'))
 
 
-def fastest_way(distance_mm: float, acceleration: float, jerk: float, count: int) -> Floats:
-    """Return the fastest rest-to-rest motion within acceleration and jerk [count] [mm].
-
-    Full acceleration, then full braking, each with jerk-limited ramps: the convolution of a
-    bang-bang motion with a window of the length of a ramp. Sampled every 125 us.
-
-    Args:
-        distance_mm: Distance [mm].
-        acceleration: Largest acceleration [m/s2].
-        jerk: Largest jerk [m/s3].
-        count: Number of samples.
-    """
-    t = (np.arange(count) + 1) * GRID_S
-    half_s = np.sqrt(1e-3 * distance_mm / acceleration)
-    rising = 0.5e3 * acceleration * t**2
-    falling = distance_mm - 0.5e3 * acceleration * np.maximum(2.0 * half_s - t, 0.0) ** 2
-    way = np.where(t < half_s, rising, falling)
-    width = max(round(acceleration / jerk / GRID_S), 1)
-    padded = np.append(np.zeros(width - 1), way)
-    return np.asarray(np.convolve(padded, np.full(width, 1.0 / width), 'valid'))
-
-
 @dataclass(frozen=True, slots=True)
 class TrialPlan:
     """Settings of a trial.
@@ -168,27 +139,15 @@ class TrialPlan:
         chosen = preset(self.preset)
         return Grasp(setup, self.seed, self.seed, chosen, camera=camera, rest_s=rest_s)
 
-    def bound(self, *, moves: bool) -> Arrest:
-        """Return the arrest by the best motion of an arm without lag that begins at the onset.
-
-        Args:
-            moves: Whether the arm moves, to the force limit; without, the arrest without control.
-        """
+    def uncontrolled(self) -> Arrest:
+        """Return the arrest while the arm does not move."""
         grasp = self.grasp(camera=False, knock_s=EARLY_KNOCK_S)
-        knock, count = round(EARLY_KNOCK_S / GRID_S), round(REST_S / GRID_S)
-        way = np.zeros(knock + count)
-        if moves:
-            planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), share=1.0)
-            planner.reset(READY, np.array(SIDEWAYS), self.settings.max_total)
-            limits = planner.motion_limits
-            distance = (self.settings.max_force - grasp.grasp_n) / grasp.stiffness_n_per_mm
-            way[knock:] = fastest_way(max(distance, 0.0), limits.acceleration, limits.jerk, count)
-        block = grasp.advance(way)
+        block = grasp.advance(np.zeros(round((EARLY_KNOCK_S + REST_S) / GRID_S)))
         return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * EARLY_KNOCK_S)
 
 
 def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
-    """Run a trial, its open loop and its lower bound.
+    """Run a trial, and the same without control.
 
     Args:
         plan: Settings of the trial.
@@ -208,7 +167,6 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         `slip_mm`, `arrest_ms`, `held`: Displacement of the object [mm], time at which it came to
             rest, whether it was held.
         `open_slip_mm`, `open_held`: The same without control.
-        `floor_mm`, `floor_ms`: Lower bound of the displacement [mm], and time of rest then.
         `peak_n`: Largest normal force [N].
         `advance_mm`: Advance at the end [mm].
         `false_alarms`: Slips reported before the knock while the object did not move.
@@ -224,7 +182,7 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     record = ClosedLoop(grasp, plan.settings, force).run(KNOCK_S + AFTER_KNOCK_S, ENABLE_S)
     onset_us = 1e6 * KNOCK_S
     arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
-    floor, free = plan.bound(moves=True), plan.bound(moves=False)
+    free = plan.uncontrolled()
     slipping = np.array([step.slipping for step in record.steps])
     after = record.answered_us[slipping & (record.answered_us > onset_us)]
     at_onset = record.normal_n[np.searchsorted(record.t_us, onset_us)]
@@ -242,8 +200,6 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'held': arrest.held,
         'open_slip_mm': free.slip_mm,
         'open_held': free.held,
-        'floor_mm': floor.slip_mm,
-        'floor_ms': _or_none(floor.arrest_ms),
         'peak_n': float(record.normal_n.max()),
         'advance_mm': float(record.advance_mm[-1]),
         'false_alarms': _alarms_before(record, onset_us),
@@ -272,10 +228,7 @@ def _alarms_before(record: LoopRecord, onset_us: float) -> int:
 
 def trial_piece(plan: TrialPlan) -> Piece:
     """Return a trial as a piece of work; its result has `course_mm`, too."""
-    packages = ('core', 'fger', 'sim', 'slip_control')
-    code = *(f'mixtac_{name}' for name in packages), 'mixtac_learning.experiments.slip_loop'
-    files = (find_model(DEFAULT_MODEL),)
-    return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), code, files)
+    return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,))
 
 
 def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
@@ -305,14 +258,6 @@ Results = dict[str, list[dict[str, Any]]]
 @experiment
 def slip(context: Context) -> Outcome:
     """Objects that are knocked, in closed loop."""
-    fields = texts('slip')
-    if context.bags is not None:
-        return Outcome(
-            **fields | {'deviations': ()},
-            data='none',
-            skipped='A closed loop cannot be replayed from bags: the motion of the arm changes what'
-            ' is recorded. `mixtac up slip` runs it; without --bags this experiment simulates it.',
-        )
     grasped = context.sizes.grasps
     plans = [
         TrialPlan(name, FIRST_SEED + 1000 * at + k, margin=MARGIN, preset=PRESET)  # type: ignore[arg-type]
@@ -331,7 +276,7 @@ def slip(context: Context) -> Outcome:
         ' smallest force that holds',
         rows=_rows(results),
         figures={'Displacement of the boxes, and of all objects; diamonds: the paper': path},
-        **fields,
+        **texts('slip'),
     )
 
 
@@ -351,13 +296,10 @@ def _rows(results: Results) -> list[Row]:
         ]
         if name == 'box':
             one = f'{text}; paper: one trial'
-            middle, time, bound = (
-                _median(trials, key) for key in ('slip_mm', 'arrest_ms', 'floor_mm')
-            )
+            middle, time = (_median(trials, key) for key in ('slip_mm', 'arrest_ms'))
             rows += [
                 Row('box: median displacement', middle, PAPER_BOX_MM, _PLACE, 'mm', one),
                 Row('box: median time from the knock to rest', time, PAPER_MS, _PLACE, 'ms', one),
-                Row('box: median lower bound of the displacement', bound, None, '', 'mm', text),
             ]
     return rows
 
@@ -379,7 +321,7 @@ def _draw(path: Path, results: Results) -> Path:
         left.plot(COURSE_MS, trial['course_mm'], color=_COLOUR, lw=1.8 if k == 0 else 0.5)
     left.plot(PAPER_MS, PAPER_BOX_MM, 'D', color=PAPER, label='paper, one trial')
     left.set(xlabel='time from the knock [ms]', ylabel='displacement [mm]')
-    left.set_title(f'box, {mark(simulated=True)}', fontsize=10)
+    left.set_title('box, simulated', fontsize=10)
     left.legend(frameon=False, fontsize=8)
     random = np.random.default_rng(0)
     for k, (name, trials) in enumerate(results.items()):
@@ -393,5 +335,5 @@ def _draw(path: Path, results: Results) -> Path:
     for which in (right.yaxis.set_major_formatter, right.yaxis.set_minor_formatter):
         which('{x:.2g}')
     right.tick_params(axis='y', which='both', labelsize=8)
-    right.set_title(f'all objects, means as lines, {mark(simulated=True)}', fontsize=10)
+    right.set_title('all objects, means as lines, simulated', fontsize=10)
     return save_figure(figure, path)

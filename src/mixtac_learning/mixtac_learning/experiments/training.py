@@ -1,44 +1,40 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Train models and run them on test trials, simulated or recorded.
+"""Train models and run them on simulated test trials.
 
-Every force experiment calls `estimates`: it trains each model once per seed, runs it on the test
-trials of one force profile, and stores weights and estimates, which all experiments of a run
-share.
+Every force experiment calls `force_outcome`: each model is trained once per seed and runs on the
+test trials of one force profile. Weights and estimates are stored, and all experiments of a run
+share them.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from mixtac_core.recordings.bag import fit_path
-from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.weights import read_model, save_model
 from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
+    Piece,
     Row,
     Sizes,
     Value,
     run_config,
     texts,
 )
-from mixtac_learning.experiments.store import Piece, find_result
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
 from mixtac_learning.judge.metrics import Metrics, measure
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
-from mixtac_learning.trials.bags import BagSource, bag_sources
-from mixtac_learning.trials.store import CachedSource, Recipe, prepare
-from mixtac_learning.trials.trial import SimulatedSource, TrialSource
+from mixtac_learning.trials.samples import Recipe, prepare
+from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.world.plans import TrialSpec, training_plan
 
 
@@ -72,134 +68,36 @@ FIRST_DATA_SEED = 40
 """Data seeds of `mixtac_sim.world.plans`; other ones than those of shipped models."""
 FIRST_TEST = 830_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
-SHARE_TESTED = 5
-"""One bag in this many is a test trial: 8:2 by trial, as in the paper."""
 CHECKED = 1 / 8
 """Part of the training trials that the best weights are chosen by."""
-LEARNING_CODE = (
-    'mixtac_core.events',
-    'mixtac_fger',
-    'mixtac_core.recordings',
-    'mixtac_fger.alignment',
-    'mixtac_sim',
-    *(f'mixtac_learning.{part}' for part in ('judge', 'network', 'paper', 'train', 'trials')),
-)
-"""Packages that a trained model and its estimates depend on."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimulatedTrials:
-    """One simulated sensor per seed.
-
-    Attributes:
-        sizes: Numbers and lengths of the trials.
-        simulated: Always true.
-    """
-
-    sizes: Sizes
-    simulated: ClassVar = True
-
-    def training(self, seed: int) -> DataConfig:
-        """Return trials of the seed's sensor."""
-        sizes = self.sizes
-        data = SimulatedData(
-            (PRESET,), 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
-        )
-        return DataConfig(simulated=data, checked=CHECKED)
-
-    def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
-        """Return other days of the same sensor."""
-        count, seconds = self.sizes.tests[profile]
-        device = training_plan(1, 1, 1.0, FIRST_DATA_SEED + seed, (PRESET,))[0].device_seed
-        first = FIRST_TEST + 1000 * seed + 100 * PROFILES.index(profile)
-        specs = [TrialSpec(device, first + k, profile, seconds, PRESET) for k in range(count)]
-        return [SimulatedSource(spec) for spec in specs]
-
-    def describe(self, profile: str) -> str:
-        """Return sizes, preset and seeds."""
-        sizes = self.sizes
-        count, seconds = sizes.tests[profile]
-        trained = ', '.join(dict.fromkeys(sizes.mix[: sizes.trials]))
-        return (
-            f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
-            f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
-            f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
-            f' days (trial seeds from {FIRST_TEST})'
-        )
+def training_data(sizes: Sizes, seed: int) -> DataConfig:
+    """Return the training trials of the seed's sensor."""
+    data = SimulatedData(
+        (PRESET,), 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
+    )
+    return DataConfig(simulated=data, checked=CHECKED)
 
 
-@dataclass(frozen=True, slots=True)
-class BagTrials:
-    """A user's bags: one folder per profile, as `mixtac simulate --dataset NAME` writes them.
-
-    A `dataset.yaml` decides which trials are for training; without one, every fifth trial is a
-    test trial.
-
-    Attributes:
-        folder: Holds folders named `dynamic`, `static`, `long_term` and `impact`.
-    """
-
-    folder: Path
-
-    @property
-    def simulated(self) -> bool:
-        """Whether all bags, or their descriptions, are marked as simulated."""
-        origins = [bag.origin for name in PROFILES for part in self._split(name) for bag in part]
-        return all(bool(o.get('simulated')) or 'trial_seed' in o for o in origins)
-
-    def training(self, _seed: int) -> DataConfig:
-        """Return the training bags of all profiles, the same for every seed.
-
-        Raises:
-            RecordingError: There are none.
-        """
-        bags = [bag for name in PROFILES for bag in self._split(name)[0]]
-        if not bags:
-            raise RecordingError(f'{self.folder} holds no bags for training', remedy=_REMEDY)
-        return DataConfig(bags=tuple(str(bag.path) for bag in bags), checked=CHECKED)
-
-    def tests(self, _seed: int, profile: str) -> Sequence[TrialSource]:
-        """Return the test bags of a profile.
-
-        Raises:
-            RecordingError: There are none.
-        """
-        held = self._split(profile)[1]
-        if not held:
-            raise RecordingError(
-                f'{self.folder / profile} holds no bags for testing', remedy=_REMEDY
-            )
-        return held
-
-    def describe(self, profile: str) -> str:
-        """Return the folder and the numbers of bags."""
-        trained, held = self._split(profile)
-        total = sum(len(self._split(name)[0]) for name in PROFILES)
-        kind = 'simulated bags' if self.simulated else 'recorded bags'
-        return (
-            f'{kind} in {self.folder.name}: {total} for training, of these {len(trained)}'
-            f' {profile}; {len(held)} {profile} bags for testing, split by trial'
-        )
-
-    def _split(self, profile: str) -> tuple[list[BagSource], list[BagSource]]:
-        folder = self.folder / profile
-        split: tuple[list[BagSource], list[BagSource]] = [], []
-        for index, bag in enumerate(bag_sources(folder) if folder.is_dir() else []):
-            by_order = 'val' if index % SHARE_TESTED == SHARE_TESTED - 1 else 'train'
-            held = bag.origin.get('split', by_order) != 'train'
-            split[held].append(replace(bag, described=bag.described | {'profile': profile}))
-        return split
+def test_trials(sizes: Sizes, seed: int, profile: str) -> list[TrialSpec]:
+    """Return other days of the same sensor."""
+    count, seconds = sizes.tests[profile]
+    device = training_plan(1, 1, 1.0, FIRST_DATA_SEED + seed, (PRESET,))[0].device_seed
+    first = FIRST_TEST + 1000 * seed + 100 * PROFILES.index(profile)
+    return [TrialSpec(device, first + k, profile, seconds, PRESET) for k in range(count)]
 
 
-def trial_sets(context: Context) -> SimulatedTrials | BagTrials:
-    """Return simulated trials, or those of the user's bags."""
-    return SimulatedTrials(context.sizes) if context.bags is None else BagTrials(context.bags)
-
-
-_REMEDY = (
-    f'record at least five trials into each of the folders {", ".join(PROFILES)}, with the'
-    ' reference sensor, and align them'
-)
+def describe(sizes: Sizes, profile: str) -> str:
+    """Return sizes, preset and seeds of the trials in words."""
+    count, seconds = sizes.tests[profile]
+    trained = ', '.join(dict.fromkeys(sizes.mix[: sizes.trials]))
+    return (
+        f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
+        f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
+        f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
+        f' days (trial seeds from {FIRST_TEST})'
+    )
 
 
 def deviations(sizes: Sizes) -> tuple[str, ...]:
@@ -209,8 +107,12 @@ def deviations(sizes: Sizes) -> tuple[str, ...]:
     return tuple(each.format(**values) for each in texts('training')['deviations'])
 
 
-def train(context: Context, configs: Mapping[tuple[str, int], RunConfig]) -> dict[Any, str]:
-    """Train what is missing.
+Case = tuple[str, int]
+"""A model and a seed."""
+
+
+def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, str]:
+    """Train the models whose weights are not stored yet.
 
     Args:
         context: The run; samples are stored in its folder.
@@ -219,16 +121,18 @@ def train(context: Context, configs: Mapping[tuple[str, int], RunConfig]) -> dic
     Returns:
         Stem of the weight file among the stored results, by model and seed.
     """
-    pieces = {}
-    for (model, seed), config in configs.items():
-        files = tuple(path for bag in config.data.bags for path in _bag_files(Path(bag)))
-        plain = replace(config, data=replace(config.data, cache=''))
-        label = f'model_{model}_s{seed}'
-        pieces[model, seed] = Piece(label, _train, (plain,), LEARNING_CODE, files)
-    missing = [key for key in configs if find_result(context.pieces, pieces[key]) is None]
-    _prepare(context, [configs[key] for key in missing])
+    pieces = {
+        (model, seed): Piece(
+            f'model_{model}_s{seed}',
+            _train,
+            (replace(config, data=replace(config.data, cache='')),),
+        )
+        for (model, seed), config in configs.items()
+    }
+    missing = [configs[case] for case in configs if pieces[case].result(context.pieces) is None]
+    _prepare(context, missing)
     context.run('training', list(pieces.values()))
-    return {key: piece.stem for key, piece in pieces.items()}
+    return {case: piece.stem for case, piece in pieces.items()}
 
 
 def _train(base: Path, config: RunConfig) -> dict[str, Any]:
@@ -237,32 +141,62 @@ def _train(base: Path, config: RunConfig) -> dict[str, Any]:
     data = replace(config.data, cache=str(base.parents[1] / 'samples'))
     trained = train_model(replace(config, data=data), base)
     save_model(base.with_name(f'{base.name}.safetensors'), trained.model)
-    return {'minutes': trained.model.card.training['minutes'], 'skipped': trained.skipped}
+    return {'minutes': trained.model.card.training['minutes'], 'skipped': trained.data.skipped}
 
 
-def _prepare(context: Context, configs: Iterable[RunConfig]) -> None:
+def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
     """Prepare the samples before trainings run side by side, which would prepare them twice."""
-    recipes: dict[str, tuple[Recipe, dict[str, TrialSource]]] = {}
+    sources = {s.name: s for config in configs for s in training_sources(config.data)}
+    recipes: dict[str, Recipe] = {}
     for config in configs:
-        recipe: Recipe = recipe_of(config)
-        key = json.dumps(recipe.fingerprint(), sort_keys=True)
-        sources = recipes.setdefault(key, (recipe, {}))[1]
-        for source in training_sources(config.data):
-            # Each network reads the trial anew, and simulating takes longer than reading.
-            simulated = isinstance(source, SimulatedSource)
-            kept = CachedSource(source, context.folder / 'trials') if simulated else source
-            sources[source.name] = kept
-    for recipe, sources in recipes.values():
+        recipe = recipe_of(config)
+        recipes[repr(recipe.fingerprint())] = recipe
+    if sources:
         bar = context.progress.add_task('preparing samples', total=len(sources))
-        folder = context.folder / 'samples'
-        prepare([*sources.values()], recipe, folder, context.jobs, _updating(context, bar))
+        prepare(
+            [*sources.values()],
+            [*recipes.values()],
+            context.folder / 'samples',
+            context.jobs,
+            lambda done: context.progress.update(bar, completed=done),
+        )
 
 
-def _updating(context: Context, bar: Any) -> Callable[[int], None]:  # noqa: ANN401
-    return lambda done: context.progress.update(bar, completed=done)
+def estimates(
+    context: Context, title: str, tests: Sequence[tuple[TrialSpec, Mapping[Case, str]]]
+) -> Estimates:
+    """Return the estimates of models on test trials.
+
+    Args:
+        context: The run.
+        title: Title of the progress bar.
+        tests: Test trials; with each the models that it tests, as `train` returns them.
+
+    Raises:
+        MixtacError: A trial cannot be used.
+    """
+    pieces = [Piece(f'judged_{spec.name}', _judge, (spec, dict(cases))) for spec, cases in tests]
+    found: Estimates = {}
+    for result in context.run(f'{title}: testing', pieces):
+        for model, seed, name in result['files']:
+            by_seed = found.setdefault(model, {})
+            by_seed.setdefault(seed, []).append(load_estimate(context.pieces / name))
+    return found
 
 
-def estimates(context: Context, profile: str) -> Estimates:
+def _judge(base: Path, spec: TrialSpec, weights: Mapping[Case, str]) -> dict[str, Any]:
+    """Estimate a trial, which is simulated once, with each model."""
+    torch.set_num_threads(1)
+    trial, written = SimulatedSource(spec).load(), []
+    for (model, seed), stem in weights.items():
+        estimate = trial_estimator(read_model(base.parent / f'{stem}.safetensors'))(trial)
+        name = f'{base.name}_{model}_s{seed}.npz'
+        save_estimate(base.parent / name, estimate)
+        written.append((model, seed, name))
+    return {'files': written}
+
+
+def profile_estimates(context: Context, profile: str) -> Estimates:
     """Return the estimates of the models of a profile on its test trials; trains what is missing.
 
     Args:
@@ -270,40 +204,23 @@ def estimates(context: Context, profile: str) -> Estimates:
         profile: One of `JUDGED`.
 
     Raises:
-        MixtacError: Trials are missing or cannot be used.
+        MixtacError: Trials cannot be used.
     """
-    sets, models, seeds = trial_sets(context), JUDGED[profile], range(context.seeds)
-    cases = [(seed, source) for seed in seeds for source in sets.tests(seed, profile)]
-    configs = {
-        (model, seed): run_config(context.sizes, model, seed, sets.training(seed))
-        for seed in seeds
-        for model in models
-    }
-    weights = train(context, configs)
-    pieces = []
-    for seed, source in cases:
-        bags = _bag_files(source.path) if isinstance(source, BagSource) else ()
-        arguments = (source, {model: weights[model, seed] for model in models})
-        label = f'judged_s{seed}_{source.name}'
-        pieces.append(Piece(label, _judge, arguments, LEARNING_CODE, bags))
-    found: Estimates = {model: {seed: [] for seed in seeds} for model in models}
-    results = context.run(f'{profile}: testing', pieces)
-    for (seed, _), result in zip(cases, results, strict=True):
-        for model, name in result['files'].items():
-            found[model][seed].append(load_estimate(context.pieces / name))
-    return found
-
-
-def _judge(base: Path, source: TrialSource, weights: Mapping[str, str]) -> dict[str, Any]:
-    """Estimate a trial, which is loaded once, with each model."""
-    torch.set_num_threads(1)
-    trial = source.load()
-    files = {}
-    for model, stem in weights.items():
-        estimate = trial_estimator(read_model(base.parent / f'{stem}.safetensors'))(trial)
-        files[model] = f'{base.name}_{model}.npz'
-        save_estimate(base.parent / files[model], estimate)
-    return {'files': files}
+    sizes, models = context.sizes, JUDGED[profile]
+    weights = train(
+        context,
+        {
+            (model, seed): run_config(sizes, model, seed, training_data(sizes, seed))
+            for seed in range(context.seeds)
+            for model in models
+        },
+    )
+    tests = [
+        (spec, {(model, seed): weights[model, seed] for model in models})
+        for seed in range(context.seeds)
+        for spec in test_trials(sizes, seed, profile)
+    ]
+    return estimates(context, profile, tests)
 
 
 def save_estimate(path: Path, estimate: TrialEstimate) -> None:
@@ -320,18 +237,12 @@ def load_estimate(path: Path) -> TrialEstimate:
     return TrialEstimate(**{'reference': None, **values, **words})
 
 
-def _bag_files(bag: Path) -> tuple[Path, ...]:
-    """Return the files of a bag and its clock fit."""
-    fit = fit_path(bag)
-    return *sorted(bag.iterdir()), *([fit] if fit.exists() else [])
-
-
 def force_outcome(
     context: Context,
     profile: str,
     name: str,
-    rows: Callable[..., list[Row]],
-    draw: Callable[..., Path],
+    rows: Callable[[Estimates], list[Row]],
+    draw: Callable[[Path, Estimates], Path],
     conditions: str,
 ) -> Outcome:
     """Return the outcome of an experiment that compares models on one profile.
@@ -340,24 +251,22 @@ def force_outcome(
         context: The run.
         profile: One of `JUDGED`.
         name: Name of the experiment.
-        rows: Returns the rows of the experiment from the estimates and `simulated`, whether the
-            trials are simulated.
-        draw: Writes the figure to a path, from the same.
+        rows: Returns the rows of the experiment from the estimates.
+        draw: Writes the figure to a path, from the estimates.
         conditions: Which trials these are, for the row of the best constant.
 
     Raises:
-        MixtacError: Trials are missing or cannot be used.
+        MixtacError: Trials cannot be used.
     """
-    sets = trial_sets(context)
-    found = estimates(context, profile)
-    simulated, text = sets.simulated, texts(name)
+    found = profile_estimates(context, profile)
+    text = texts(name)
     text['deviations'] = (*deviations(context.sizes), *text['deviations'])
-    path = draw(context.figure(name), found, simulated=simulated)
+    path = draw(context.figure(name), found)
     constant = Value.of(pooled(each).constant_mae for each in found[OURS].values())
-    last = Row('best constant: MAE', constant, None, '', 'N', conditions, simulated)
+    last = Row('best constant: MAE', constant, None, '', 'N', conditions)
     return Outcome(
-        data=sets.describe(profile),
-        rows=[*rows(found, simulated=simulated), last],
+        data=describe(context.sizes, profile),
+        rows=[*rows(found), last],
         figures={text.pop('caption'): path},
         **text,
     )
@@ -375,8 +284,6 @@ def error_rows(
     paper: Mapping[str, float],
     place: str,
     conditions: str,
-    *,
-    simulated: bool,
 ) -> list[Row]:
     """Return MAE, RMSE and R2 of a model; one value per seed.
 
@@ -386,7 +293,6 @@ def error_rows(
         paper: The paper's values by `mae`, `rmse`, `r2`, where it gives them.
         place: Section, figure or table of the paper.
         conditions: Which trials these are.
-        simulated: Whether the data are simulated.
     """
     metrics = [pooled(estimates) for estimates in by_seed.values()]
     return [
@@ -397,7 +303,6 @@ def error_rows(
             place if key in paper else '',
             unit,
             conditions,
-            simulated,
         )
         for key, title, unit in (('mae', 'MAE', 'N'), ('rmse', 'RMSE', 'N'), ('r2', 'R2', ''))
     ]

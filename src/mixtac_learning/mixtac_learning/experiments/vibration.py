@@ -29,13 +29,12 @@ from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
+    Piece,
     Row,
     Value,
     experiment,
-    mark,
     texts,
 )
-from mixtac_learning.experiments.store import Piece
 from mixtac_learning.judge.report import new_axes, save_figure
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
@@ -189,9 +188,6 @@ Found = tuple[float, dict[str, Any]]
 @experiment
 def vibration(context: Context) -> Outcome:
     """Tones of 50 to 450 Hz: which frequency the events show."""
-    if context.bags is not None:
-        reason = 'vibrations are simulated: run it without --bags'
-        return Outcome(**texts('vibration') | {'deviations': ()}, data='none', skipped=reason)
     sizes = context.sizes
     cases = [
         (kind, tone, size, FIRST_SEED + seed)
@@ -205,7 +201,6 @@ def vibration(context: Context) -> Outcome:
             f'shake_{kind}_{tone:g}hz_{1e3 * size:g}um_s{seed}',
             _shaken_spectra,
             (kind, tone, size, seed),
-            ('mixtac_core.events', 'mixtac_sim'),
         )
         for kind, tone, size, seed in cases
     ]
@@ -290,7 +285,7 @@ def _draw(path: Path, panels: dict[str, list[Found]]) -> Path:
         mesh = ax.pcolormesh(edges, heights, picture, cmap='magma', vmin=0.0, vmax=1.0)
         ax.plot([30.0, highest], [30.0, highest], '--', color='#56b4e9', lw=1.0)
         ax.set(xlim=(edges[0], edges[-1]), ylim=(30.0, highest), xlabel='tone [Hz]')
-        ax.set_title(f'{title}\n{mark(simulated=True)}', fontsize=9)
+        ax.set_title(f'{title}\nsimulated', fontsize=9)
         ax.grid(visible=False)
     axes[0].set_ylabel('reconstructed [Hz]')
     figure.colorbar(mesh, ax=axes, label='amplitude / largest', fraction=0.03)

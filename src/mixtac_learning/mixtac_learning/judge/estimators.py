@@ -27,7 +27,7 @@ from mixtac_fger.fger_net import (
 )
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
-from mixtac_learning.judge.metrics import CalibrationError, fit_scale
+from mixtac_learning.judge.metrics import fit_scale
 from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample, run_samples
@@ -38,7 +38,6 @@ from mixtac_learning.trials.trial import (
     camera_end_us,
     camera_start_us,
     sensor_of,
-    window_ends,
 )
 
 
@@ -56,7 +55,6 @@ class TrialEstimate:
         reference: Reference's force, None where there is none or it is `known` [N] [T].
         frames_only: The model's force of the latest frame, None where it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
-        corrected: Windows in which a frame was first used, None where that is not known, bool [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
         across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an
             estimator that never knows it.
@@ -72,7 +70,6 @@ class TrialEstimate:
     reference: NDArray[np.float64] | None
     frames_only: NDArray[np.float64] | None = None
     deviation: NDArray[np.float64] | None = None
-    corrected: NDArray[np.bool_] | None = None
     reasons: NDArray[np.uint8] | None = None
     across: NDArray[np.float64] | None = None
     known_across: NDArray[np.float64] | None = None
@@ -185,18 +182,17 @@ def stream(model: Model, trial: TrialArrays, **options: Any) -> TrialEstimate:  
             window.events, window.end_us, lost_before=window.lost_before
         ):
             deviation, shear = found.deviation or 0.0, found.shear or (np.nan,) * 5
-            measured = (found.force, estimator.frame_force, deviation, found.frame_age_us)
-            rows.append((found.end_us, *measured, found.reason, *shear))
-    table = np.array(rows, np.float64).reshape(-1, 11)
-    times, ages, across = table[:, 0].astype(np.int64), table[:, 4], table[:, 6:]
+            measured = (found.force, estimator.frame_force, deviation, found.reason)
+            rows.append((found.end_us, *measured, *shear))
+    table = np.array(rows, np.float64).reshape(-1, 10)
+    across = table[:, 5:]
     return _estimate(
         trial,
-        times,
+        table[:, 0].astype(np.int64),
         force=table[:, 1],
         frames_only=table[:, 2],
         deviation=table[:, 3] if opened.gives_deviation else None,
-        corrected=np.diff(ages, prepend=ages[:1]) < 0.0,
-        reasons=table[:, 5].astype(np.uint8),
+        reasons=table[:, 4].astype(np.uint8),
         across=None if np.isnan(across).all() else across,
     )
 
@@ -243,27 +239,11 @@ def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
     sample = make_paper_sample(network.config, trial)
     (force,) = run_samples(network, [sample])
     later = sample.window_end_us > _settled_us(trial)
-    times, corrected = sample.window_end_us[later], (sample.slots >= 0)[later]
-    found = _estimate(trial, times, force=force[later].astype(np.float64), corrected=corrected)
+    times = sample.window_end_us[later]
+    found = _estimate(trial, times, force=force[later].astype(np.float64))
     if not len(found.t_us):
         raise DatasetError(f'{found.name} gives no estimate at a time with a known force')
     return found
-
-
-def constant_estimator(force: float, window_us: int = 2000) -> TrialEstimator:
-    """Return the estimator that always gives `force` [N], which any model must beat."""
-
-    def estimate(trial: TrialArrays) -> TrialEstimate:
-        found = known_force(trial, window_us)
-        return replace(found, force=np.full(len(found.t_us), force))
-
-    return estimate
-
-
-def known_force(trial: TrialArrays, window_us: int = 2000) -> TrialEstimate:
-    """Return the known force itself on the windows that models are judged on."""
-    ends = window_ends(trial, trial.label(), window_us, _settled_us(trial))
-    return _estimate(trial, ends, force=trial.label().at(ends).astype(np.float64))
 
 
 def _settled_us(trial: TrialArrays) -> int:
@@ -330,29 +310,16 @@ def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> 
     return judged
 
 
-def sensor_scales(
-    estimator: TrialEstimator,
-    presses: Iterable[TrialSource],
-    fallback: float | None = None,
-) -> dict[str, float]:
+def sensor_scales(estimator: TrialEstimator, presses: Iterable[TrialSource]) -> dict[str, float]:
     """Return the scale of each sensor from one press against a known force.
 
     Args:
         estimator: The model.
         presses: One trial per sensor that nothing else is judged on.
-        fallback: Scale of a sensor whose press the model does not see; None to fail.
 
     Raises:
-        CalibrationError: A press is not seen, and there is no fallback.
+        CalibrationError: The model does not see a press.
         MixtacError: A press cannot be used.
     """
-    scales = {}
-    for source in presses:
-        press = estimator(source.load())
-        try:
-            scales[press.device] = fit_scale(press.force, press.known)
-        except CalibrationError:
-            if fallback is None:
-                raise
-            scales[press.device] = fallback
-    return scales
+    found = (estimator(source.load()) for source in presses)
+    return {press.device: fit_scale(press.force, press.known) for press in found}

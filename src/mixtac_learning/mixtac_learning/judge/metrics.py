@@ -10,10 +10,8 @@ press with a known force gives the ratio, and nothing else has to be learned aga
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from mixtac_core.events.errors import MixtacError
@@ -149,34 +147,8 @@ def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> fl
     return float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
 
-FRAME_LIMIT_S = 0.08
-"""Two frame intervals at 25 Hz: what is faster than this, frames alone cannot follow."""
-ROLLING_S = 0.5
-"""Window of the rolling error (paper, section IV-B)."""
 PEAK_TOLERANCE_S = 0.01
-"""A peak may be estimated this much early or late."""
-
-
-def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Return the centred mean over `width` samples, of fewer at the ends, [T]."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    index = np.arange(len(values))
-    low = np.maximum(index - width // 2, 0)
-    high = np.minimum(index - width // 2 + width, len(values))
-    return np.asarray((total[high] - total[low]) / (high - low))
-
-
-def fast_error(
-    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
-) -> tuple[float, float]:
-    """Return the mean absolute error of the fast part, and the same of no estimate [N].
-
-    The fast part is what differs from the moving average over `FRAME_LIMIT_S`.
-    """
-    width = max(round(FRAME_LIMIT_S / interval_s), 1)
-    fast = known - moving_mean(known, width)
-    error = estimate - moving_mean(estimate, width) - fast
-    return float(np.abs(error).mean()), float(np.abs(fast).mean())
+"""The estimate of a peak may come this much earlier or later [s]."""
 
 
 def peak_error(
@@ -192,103 +164,3 @@ def peak_error(
     reach = round(PEAK_TOLERANCE_S / interval_s)
     near = estimate[max(at - reach, 0) : at + reach + 1]
     return float(abs(near.max() - known[at]) / known[at])
-
-
-def rolling_errors(
-    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
-) -> NDArray[np.float64]:
-    """Return the mean absolute error in consecutive windows of `ROLLING_S` [N]."""
-    size = max(round(ROLLING_S / interval_s), 1)
-    error = np.abs(estimate - known)
-    count = max(len(error) // size, 1)
-    return np.array([part.mean() for part in np.array_split(error, count)])
-
-
-_ROUNDING = 1e-6
-"""Part of the steps at frames that rounding may change between them."""
-
-
-def frame_jump(estimate: NDArray[np.float64], corrected: NDArray[np.bool_]) -> float:
-    """Return the mean change in windows that a frame corrects over that in the others.
-
-    1 means that frames leave no steps; nan without both kinds, and where only frames change it.
-    """
-    change, frames = np.abs(np.diff(estimate)), corrected[1:]
-    if frames.all() or not frames.any():
-        return float('nan')
-    steps, between = float(change[frames].mean()), float(change[~frames].mean())
-    return steps / between if between > _ROUNDING * steps else float('nan')
-
-
-HOLD_S, HOLD_N = 1.0, 0.04
-"""A hold is where the known force moves by less than this within this time about a moment."""
-
-
-def hold_noise(
-    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
-) -> float:
-    """Return the standard deviation of the error in holds, less what is slower than `HOLD_S` [N].
-
-    nan where no force above `SMALLEST_FORCE_N` is held.
-    """
-    width = round(HOLD_S / interval_s)
-    if len(known) < 2 * width:
-        return float('nan')
-    error = estimate - known
-    fast = (error - moving_mean(error, width))[width // 2 :]
-    spans = sliding_window_view(known, width)
-    held = (np.ptp(spans, axis=1) < HOLD_N) & (spans.min(axis=1) > SMALLEST_FORCE_N)
-    return float(fast[: len(held)][held].std()) if held.any() else float('nan')
-
-
-LONGEST_LAG_S = 0.02
-SMOOTH_S = 0.01
-"""Mean before the comparison of changes: noise has no lag."""
-
-
-def lag_ms(known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float) -> float:
-    """Return by how much the estimate is late: the maximum of the cross-correlation of changes.
-
-    nan where the known force does not change, or where no lag below `LONGEST_LAG_S` fits best.
-    """
-    reach, width = round(LONGEST_LAG_S / interval_s), max(round(SMOOTH_S / interval_s), 1)
-    if len(known) < 4 * reach:
-        return float('nan')
-    wanted, found = (np.diff(moving_mean(each, width)) for each in (known, estimate))
-    middle = wanted[reach:-reach]
-    products = sliding_window_view(found, len(middle)) @ middle
-    best = int(np.argmax(products))
-    if not 0 < best < len(products) - 1 or not middle.any():
-        return float('nan')
-    left, top, right = products[best - 1 : best + 2]
-    between = 0.5 * (left - right) / (left - 2.0 * top + right)
-    return float(1e3 * interval_s * (best + between - reach))
-
-
-def over_time(
-    known: NDArray[np.float64],
-    estimate: NDArray[np.float64],
-    interval_s: float,
-    corrected: NDArray[np.bool_] | None,
-) -> dict[str, Any]:
-    """Return the figures of one trial that depend on the order of its windows; nan where unknown.
-
-    Args:
-        known: Known force [N], [T].
-        estimate: Estimate [N], [T].
-        interval_s: Time between windows [s].
-        corrected: Windows in which a frame was first used, [T]; None where that is not known.
-    """
-    fast, fast_constant = fast_error(known, estimate, interval_s)
-    rolling = rolling_errors(known, estimate, interval_s)
-    return {
-        'peak_error': peak_error(known, estimate, interval_s),
-        'fast_mae': fast,
-        'fast_constant_mae': fast_constant,
-        'rolling_first_mae': rolling[0],
-        'rolling_last_mae': rolling[-1],
-        'rolling_worst_mae': rolling.max(),
-        'frame_jump': float('nan') if corrected is None else frame_jump(estimate, corrected),
-        'hold_noise': hold_noise(known, estimate, interval_s),
-        'lag_ms': lag_ms(known, estimate, interval_s),
-    }

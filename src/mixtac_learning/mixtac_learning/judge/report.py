@@ -30,15 +30,7 @@ from mixtac_learning.judge.estimators import (
     sensor_scales,
     trial_estimator,
 )
-from mixtac_learning.judge.metrics import (
-    ROLLING_S,
-    across_errors,
-    coverage,
-    hold_noise,
-    measure,
-    over_time,
-    rolling_errors,
-)
+from mixtac_learning.judge.metrics import across_errors, coverage, measure, peak_error
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource
 from mixtac_sim.world.plans import (
@@ -84,16 +76,19 @@ def summarise(
     """Return the figures over trials; forces in N, ratios without unit.
 
     Returns:
-        `trials`; of all windows together what `Metrics` holds and `coverage` gives; the means over
-        trials of what `over_time` gives; `reference_mae` against the measured reference where the
-        true force is the label; `frames_only_mae` where the model has such an output; errors
-        across the normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of
-        what was estimated, where they are known; with scales `calibrated_mae`,
-        `calibrated_rmse`, `calibrated_hold_noise` and `calibrated_` before what `coverage` gives.
+        `trials`; of all windows together the fields of `Metrics` and of `coverage`; the mean over
+        trials of `peak_error`; `reference_mae` against the measured reference where the true force
+        is the label; `frames_only_mae` where the model has such an output; errors across the
+        normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of the true
+        values, where they are known; with scales `calibrated_mae`, `calibrated_rmse` and the
+        fields of `coverage` after `calibrated_`.
     """
     known = _joined(e.known for e in estimates)
     figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates)).to_dict()
-    figures |= _mean_over_trials(estimates) | _coverage(estimates)
+    figures |= _coverage(estimates)
+    peaks = np.array([peak_error(e.known, e.force, e.interval_s) for e in estimates])
+    if not np.isnan(peaks).all():
+        figures['peak_error'] = float(np.nanmean(peaks))
     pairs = [(e.across, e.known_across) for e in estimates if e.across is not None]
     told = [(a, k) for a, k in pairs if k is not None]
     if told:
@@ -110,10 +105,7 @@ def summarise(
     if scales is not None:
         scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
         after = measure(known, _joined(e.force for e in scaled))
-        noise = np.array([hold_noise(e.known, e.force, e.interval_s) for e in scaled])
         found = {'mae': after.mae, 'rmse': after.rmse, **_coverage(scaled)}
-        if not np.isnan(noise).all():
-            found['hold_noise'] = float(np.nanmean(noise))
         figures |= {f'calibrated_{name}': value for name, value in found.items()}
     return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
 
@@ -128,13 +120,6 @@ def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
     if len(deviations) < len(estimates):
         return {}
     return coverage(_joined(e.force - e.known for e in estimates), _joined(deviations))
-
-
-def _mean_over_trials(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    """Return the means of what `over_time` gives, over the trials that have the figure."""
-    rows = [over_time(e.known, e.force, e.interval_s, e.corrected) for e in estimates]
-    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return {n: float(np.nanmean(v)) for n, v in table.items() if not np.isnan(v).all()}
 
 
 COLUMNS = (
@@ -215,8 +200,6 @@ def plot_forces(
     curves: Mapping[Any, TrialEstimate],
     origin_us: float,
     span_s: tuple[float, float],
-    *,
-    simulated: bool,
 ) -> None:
     """Plot estimates of one trial over the known force.
 
@@ -226,10 +209,8 @@ def plot_forces(
         curves: Estimates by how their models appear (`label` and `colour`).
         origin_us: Time zero of the plot, camera clock [us].
         span_s: Part that is shown [s].
-        simulated: Whether the trial is simulated.
     """
-    name = 'true force' if simulated else 'reference'
-    lines = [(known.t_us, known.known, name, TRUTH, 2.2)]
+    lines = [(known.t_us, known.known, 'true force', TRUTH, 2.2)]
     lines += [(e.t_us, e.force, look.label, look.colour, 1.1) for look, e in curves.items()]
     for t_us, force, label, colour, width in lines:
         t_s = 1e-6 * (t_us - origin_us)
@@ -243,7 +224,7 @@ MOST_ROWS = 4
 
 
 def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> None:
-    """Draw force over time and the rolling error of the first trial of each profile.
+    """Draw the force over time of the first trial of each profile.
 
     Args:
         path: Picture to write; its folder is made if need be.
@@ -255,95 +236,54 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
     """
     firsts = {each.profile: each for each in reversed(estimates)}
     chosen = list(reversed(firsts.values()))[:MOST_ROWS]
-    figure, axes = new_axes(2, len(chosen), 11.0, 2.4 * len(chosen) + 0.4)
+    figure, axes = new_axes(1, len(chosen), 9.0, 2.4 * len(chosen) + 0.4)
     figure.suptitle(title)
-    for left, right, each in zip(axes[::2], axes[1::2], chosen, strict=True):
+    for ax, each in zip(axes, chosen, strict=True):
         seconds = (each.t_us - each.t_us[0]) / 1e6
-        left.plot(seconds, each.known, 'k', lw=1.2, label='known force')
+        ax.plot(seconds, each.known, 'k', lw=1.2, label='known force')
         if each.frames_only is not None:
-            left.plot(seconds, each.frames_only, 'tab:orange', lw=0.6, label='frames only')
-        left.plot(seconds, each.force, 'tab:green', lw=0.8, label='estimate')
-        left.set(title=f'{each.profile}: {each.name}', xlabel='time [s]', ylabel='force [N]')
-        left.legend(fontsize='x-small')
-        rolling = rolling_errors(each.known, each.force, each.interval_s)
-        right.step(ROLLING_S * np.arange(len(rolling)), rolling, where='post')
-        right.set(title='rolling MAE', xlabel='time [s]', ylabel='N', ylim=(0, None))
+            ax.plot(seconds, each.frames_only, 'tab:orange', lw=0.6, label='frames only')
+        ax.plot(seconds, each.force, 'tab:green', lw=0.8, label='estimate')
+        ax.set(title=f'{each.profile}: {each.name}', xlabel='time [s]', ylabel='force [N]')
+        ax.legend(fontsize='x-small')
     save_figure(figure, path)
 
 
-SERIES = {
-    'trial': '%s',
-    'stamp': '%d',
-    'force': '%.6f',
-    'deviation': '%.6f',
-    'valid': '%d',
-    'reason': '%s',
-    'reference': '%.6f',
-}
-"""Columns of a series and how csv shows them."""
+SERIES = ('trial', 'stamp', 'force', 'deviation', 'valid', 'reason', 'reference')
+"""Columns of a series."""
 SERIES_UNITS = {'stamp': 'us, camera clock', 'force': 'N', 'deviation': 'N', 'reference': 'N'}
-SERIES_SUFFIXES = ('.csv', '.npz')
-
-
-def check_series(path: Path) -> None:
-    """Check the name of a file for `write_series`.
-
-    Raises:
-        DatasetError: Its suffix is another.
-    """
-    if path.suffix not in SERIES_SUFFIXES:
-        raise DatasetError(
-            f'{path}: a series is written to {" or ".join(SERIES_SUFFIXES)}',
-            remedy='name it forces.csv or forces.npz',
-        )
 
 
 def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
-    """Write forces over time, a row or an element per window.
+    """Write forces over time to a CSV file, a row per window.
 
     Columns: name of the trial; end of the window, camera clock [us]; force [N]; its standard
     deviation [N], NaN from a model that gives none; whether the force is valid, and the name of the
     reason why not; the known force [N]. A force of a model without checks counts as valid.
 
     Args:
-        path: .csv or .npz file.
+        path: File.
         estimates: Estimates.
 
     Raises:
-        DatasetError: The suffix is another.
         FileError: It cannot be written.
     """
-    check_series(path)
-    series = [_series(each) for each in estimates]
-    columns: dict[str, Any] = {name: _joined(each[name] for each in series) for name in SERIES}
-    with replacing(path) as scratch:
-        if path.suffix == '.npz':
-            with scratch.open('wb') as file:
-                np.savez_compressed(file, **columns)
-            return
-        headings = (
-            f'"{name} [{SERIES_UNITS[name]}]"' if name in SERIES_UNITS else name for name in SERIES
-        )
-        form = ','.join(SERIES.values()) + '\n'
-        with scratch.open('w', encoding='utf-8') as text:
-            text.write(','.join(headings) + '\n')
-            rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-            text.writelines(form % row for row in rows)
-
-
-def _series(estimate: TrialEstimate) -> dict[str, Any]:
-    count = len(estimate.t_us)
-    reasons = np.zeros(count, np.uint8) if estimate.reasons is None else estimate.reasons
-    nothing = np.full(count, np.nan)
-    return {
-        'trial': np.full(count, estimate.name),
-        'stamp': estimate.t_us,
-        'force': estimate.force,
-        'deviation': nothing if estimate.deviation is None else estimate.deviation,
-        'valid': reasons == Reason.TRUSTED,
-        'reason': np.array([Reason(each).name for each in Reason])[reasons],
-        'reference': estimate.known,
-    }
+    headings = (
+        f'"{name} [{SERIES_UNITS[name]}]"' if name in SERIES_UNITS else name for name in SERIES
+    )
+    with replacing(path) as scratch, scratch.open('w', encoding='utf-8') as file:
+        file.write(','.join(headings) + '\n')
+        for each in estimates:
+            unknown = np.full(len(each.t_us), np.nan)
+            deviations = unknown if each.deviation is None else each.deviation
+            reasons = np.zeros(len(each.t_us), int) if each.reasons is None else each.reasons
+            columns = (each.t_us, each.force, deviations, reasons, each.known)
+            rows = zip(*(column.tolist() for column in columns), strict=True)
+            for stamp, force, deviation, reason, known in rows:
+                trusted, name = int(reason == Reason.TRUSTED), Reason(reason).name
+                file.write(
+                    f'{each.name},{stamp},{force:.6f},{deviation:.6f},{trusted},{name},{known:.6f}\n'
+                )
 
 
 def run_evaluation(
@@ -374,15 +314,13 @@ def run_evaluation(
         preset: How difficult the simulated trials are.
         figures: Picture to draw; None for none.
         json: File for the figures; None for none.
-        series: File for the forces over time, .csv or .npz; None for none.
+        series: CSV file for the forces over time; None for none.
 
     Raises:
         ModelError: The weight file cannot be used.
         DatasetError: No trial can be judged.
         FileError: A file cannot be written.
     """
-    if series is not None:
-        check_series(series)
     model = read_model(path)
     estimator = trial_estimator(model)
     content: dict[str, Any] = {'model': str(path)}

@@ -19,7 +19,7 @@ from mixtac_core.events.frames import bin_mean, displacement, log_contrast
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, PaperState, SegmentBatch
-from mixtac_learning.trials.store import read_arrays, write_arrays
+from mixtac_learning.trials.samples import read_arrays, write_arrays
 from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
 
 
@@ -138,17 +138,15 @@ class PaperRecipe:
 
     Attributes:
         config: Shapes.
-        label: Which force to learn, one of `mixtac_learning.trials.trial.LABELS`.
     """
 
     config: PaperConfig
-    label: str = 'best'
     suffix = '.paper'
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what changes a sample."""
         fields = self.config.to_dict()
-        return {'kind': 'paper 1', 'label': self.label} | {name: fields[name] for name in _SEEN}
+        return {'kind': 'paper 2'} | {name: fields[name] for name in _SEEN}
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it as a folder, whole or not at all.
@@ -156,7 +154,7 @@ class PaperRecipe:
         Raises:
             DatasetError: As `make_paper_sample`, or the disk is full.
         """
-        sample = make_paper_sample(self.config, trial, self.label)
+        sample = make_paper_sample(self.config, trial)
         arrays = {name: getattr(sample, name) for name in _ARRAYS}
         write_arrays(path, arrays, sample.origin, _ORIGIN)
 
@@ -171,21 +169,18 @@ def load_paper_sample(path: Path) -> PaperSample:
     return PaperSample(**arrays, origin=origin)
 
 
-def make_paper_sample(
-    config: PaperConfig, trial: TrialArrays, label_kind: str = 'best'
-) -> PaperSample:
+def make_paper_sample(config: PaperConfig, trial: TrialArrays) -> PaperSample:
     """Return a trial as the networks see it, from the arrival of its first frame on.
 
     Args:
         config: Shapes.
         trial: Events, frames, forces.
-        label_kind: Which force.
 
     Raises:
-        DatasetError: The trial has no such force, no frames, frames of another size, or ends
+        DatasetError: The trial has no known force, no frames, frames of another size, or ends
             before its first frame arrives.
     """
-    label = trial.label(label_kind)
+    label = trial.label()
     shape = trial.frames.shape[1:]
     if len(trial.frames) < 2 or shape != (config.height, config.width):
         raise DatasetError(

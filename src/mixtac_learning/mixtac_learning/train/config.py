@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -136,7 +136,6 @@ class DataConfig:
         bags: Bags, or folders of bags; of bags that `dataset.yaml` describes only the training
             split is used.
         reference: Topic of the reference force in bags.
-        label: Which force to learn: `best`, `true` or `reference`.
         cache: Folder of prepared samples.
         checked: Part of the sensors, or of the trials where sensors are few, that is held out to
             validate on.
@@ -145,7 +144,6 @@ class DataConfig:
     simulated: SimulatedData | None = None
     bags: tuple[str, ...] = ()
     reference: str = REFERENCE
-    label: str = 'best'
     cache: str = 'runs/fger_data'
     checked: float = 0.1
 
@@ -163,6 +161,8 @@ class RunConfig:
         device: `auto` (a GPU where there is one), `cpu`, `cuda`.
         judged: Simulated sensors that no training used, on which the model is judged afterwards,
             and half as many that were trained on; 0 judges nothing.
+        start: Weight file of `ours` to adapt, or name of a shipped model: the network is that of
+            the file. Empty for random weights.
     """
 
     model: str = OURS
@@ -172,15 +172,20 @@ class RunConfig:
     data: DataConfig = field(default_factory=DataConfig)
     device: str = 'auto'
     judged: int = 6
+    start: str = ''
 
     def __post_init__(self) -> None:
         """Check what can be checked without the data.
 
         Raises:
-            ConfigError: Unknown model, or nothing to train on.
+            ConfigError: Unknown model, a model that cannot be adapted, or nothing to train on.
         """
         if self.model not in MODELS:
             raise ConfigError(f'model {self.model!r} is unknown: choose one of {", ".join(MODELS)}')
+        if self.start and self.model != OURS:
+            raise ConfigError(
+                f'{self.model} cannot start from {self.start}', remedy='start the model ours only'
+            )
         if self.data.simulated is None and not self.data.bags:
             raise ConfigError(
                 'nothing to train on: neither data.simulated nor data.bags is given', remedy=_REMEDY
@@ -207,10 +212,51 @@ def read_run_config(path: Path) -> RunConfig:
         raise ConfigError(error.message, remedy=_REMEDY) from error
 
 
+ADAPTING = {
+    'frame_epochs': 10,
+    'frame_rate': 1e-3,
+    'recurrent_epochs': 10,
+    'recurrent_rate': 3e-4,
+    'joint_epochs': 0,
+    'deviation_epochs': 0,
+}
+"""Training settings of `--start`: small steps, from weights that are good already."""
+HELD_BACK = 0.2
+"""Part of the trials that `--start` holds back."""
+
+
 def with_overrides(
-    config: RunConfig, out: Path | None, seed: int | None, data: Path | None
+    config: RunConfig,
+    out: Path | None = None,
+    seed: int | None = None,
+    data: Path | None = None,
+    bags: Sequence[Path] = (),
+    start: str | None = None,
 ) -> RunConfig:
-    """Return a run with the values of the command line instead of those of the file."""
+    """Return a run with the values of the command line instead of those of the file.
+
+    Args:
+        config: The run.
+        out: Weight file to write.
+        seed: Random seed.
+        data: Folder of prepared samples.
+        bags: Bags, or folders of bags, in place of all data of the file.
+        start: Weight file or shipped model to adapt, with the settings `ADAPTING`.
+
+    Raises:
+        ConfigError: The model cannot be adapted.
+    """
+    if bags:
+        names = tuple(str(bag) for bag in bags)
+        config = replace(config, data=replace(config.data, simulated=None, bags=names))
+    if start is not None:
+        config = replace(
+            config,
+            start=start,
+            out=f'models/{Path(start).stem}_adapted.safetensors',
+            training=config.training | ADAPTING,
+            data=replace(config.data, checked=HELD_BACK),
+        )
     if out is not None:
         config = replace(config, out=str(out))
     if seed is not None:

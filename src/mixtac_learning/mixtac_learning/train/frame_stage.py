@@ -50,11 +50,17 @@ class NetworkWithGains(nn.Module):
     Args:
         config: Network configuration.
         devices: Number of sensors.
+        start: Trained network to adapt to these sensors; None for random weights. Its features of
+            frames and its forces across the normal stay, and so do the gains: they are 1.
+
+    Attributes:
+        adapts: Whether a trained network is adapted.
     """
 
-    def __init__(self, config: FgerConfig, devices: int) -> None:
+    def __init__(self, config: FgerConfig, devices: int, start: FgerNetwork | None = None) -> None:
         super().__init__()
-        self.network = FgerNetwork(config)
+        self.network = FgerNetwork(config) if start is None else start
+        self.adapts = start is not None
         self.log_gains = nn.Parameter(torch.zeros(devices, 2))
 
     @property
@@ -186,11 +192,16 @@ class FrameStage(FgerStage):
 
     def begin(self) -> None:
         """Begin with the moments alone: the convolutions learn what these leave over."""
-        if self.model.network.config.reads_flow:
+        if self.model.network.config.reads_flow and not self.model.adapts:
             follow_moments(self.model.network, self.groups.load(0), self.processes)
 
     def parameters(self) -> list[nn.Parameter]:
-        """Return the weights that a frame's forces come from, and the gains."""
+        """Return the weights that a frame's forces come from, and the gains.
+
+        Of a trained network only the weights from its features to the normal force.
+        """
+        if self.model.adapts:
+            return list(self.model.network.frame.head.parameters())
         return [*frame_parameters(self.model.network), self.model.log_gains]
 
     def updates(self) -> int:

@@ -18,16 +18,16 @@ from rich.progress import Progress, TaskID
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import write_json
 from mixtac_fger.config import FgerConfig, from_mapping
-from mixtac_fger.weights import Model, ModelCard, save_model
-from mixtac_learning.judge.estimators import trial_estimator
+from mixtac_fger.fger_net import checked_config
+from mixtac_fger.weights import Model, ModelCard, find_model, read_model, save_model
+from mixtac_learning.judge.estimators import judge_sources, trial_estimator
 from mixtac_learning.judge.report import (
+    by_profile,
     judge_devices,
-    new_axes,
-    save_figure,
     show_figures,
     show_skipped,
 )
-from mixtac_learning.network import model_of, usual_device
+from mixtac_learning.network import model_of, network_of, usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
@@ -37,9 +37,8 @@ from mixtac_learning.train.loop import Processes, Report, TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_learning.trials.samples import FgerRecipe
-from mixtac_learning.trials.store import prepare
-from mixtac_learning.trials.trial import SimulatedSource, TrialSource, sensor_of
+from mixtac_learning.trials.samples import FgerRecipe, prepare
+from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource, sensor_of
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
     TRAINING_PROFILES,
@@ -54,12 +53,16 @@ def recipe_of(config: RunConfig) -> FgerRecipe | PaperRecipe:
 
     Raises:
         ConfigError: A field of the network is unknown or impossible.
+        ModelError: The weight file to start from cannot be used.
     """
+    if config.start:
+        network = checked_config(read_model(find_model(config.start)))
+        return FgerRecipe(network)
     if config.model == OURS:
         network = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
-        return FgerRecipe(network, config.data.label)
+        return FgerRecipe(network)
     paper = PaperConfig.from_dict({'model': config.model} | config.network)
-    return PaperRecipe(paper, config.data.label)
+    return PaperRecipe(paper)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +73,14 @@ class TrainingData:
         trained: Files to train on.
         checked: Files to validate on.
         sources: Where the samples to train on came from.
+        held: Where the samples to validate on came from.
         skipped: Why a trial was left out, by its name.
     """
 
     trained: list[Path]
     checked: list[Path]
     sources: list[TrialSource]
+    held: list[TrialSource]
     skipped: dict[str, str]
 
 
@@ -129,18 +134,19 @@ def gather(
         processes.wait()
     own_jobs = jobs if processes.leads else 1
     prepared = prepare(
-        sources, recipe, folder, own_jobs, lambda done: on_progress(done, len(sources))
+        sources, [recipe], folder, own_jobs, lambda done: on_progress(done, len(sources))
     )
     if processes.leads:
         processes.wait()
     sensors = [sensor_of(sources[kept].origin, f'trial {kept}') for kept in prepared.kept]
     held = held_out(sensors, data.checked)
-    pairs = list(zip(prepared.paths, prepared.kept, strict=True))
-    trained = [pair for index, pair in enumerate(pairs) if index not in held]
+    paths = [path for (path,) in prepared.paths]
+    trained = [index for index in range(len(paths)) if index not in held]
     return TrainingData(
-        [path for path, _ in trained],
-        [pairs[index][0] for index in held],
-        [sources[index] for _, index in trained],
+        [paths[index] for index in trained],
+        [paths[index] for index in held],
+        [sources[prepared.kept[index]] for index in trained],
+        [sources[prepared.kept[index]] for index in held],
         prepared.skipped,
     )
 
@@ -179,7 +185,6 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
     found: dict[str, Any] = {
         'model': config.model,
         'data': 'simulated (mixtac_sim)' if simulated else 'bags',
-        'label': config.data.label,
         'trials': len(data.trained),
         'held_out_trials': len(data.checked),
         'skipped_trials': data.skipped,
@@ -190,6 +195,8 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
         found['simulator'] = generation.simulator_digest()
         found['seconds'] = config.data.simulated.seconds
         found['preset'] = ', '.join(dict.fromkeys(config.data.simulated.presets))
+    if config.start:
+        found['start'] = config.start
     if config.data.bags:
         found['bags'] = sorted(str(origin.get('name')) for origin in origins)
     for key, plural in (('device_seed', 'device_seeds'), ('trial_seed', 'trial_seeds')):
@@ -197,32 +204,6 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
         if seeds:
             found[plural] = [seeds[0], seeds[-1]]
     return found
-
-
-def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
-    """Write `curves.json` and `curves.png`: loss and validation error [N], a panel per stage.
-
-    Args:
-        folder: Made if need be.
-        curves: As in `mixtac_learning.train.loop.Progress`.
-    """
-    write_json(folder / 'curves.json', {'epochs': list(curves)})
-    stages = list(dict.fromkeys(row['stage'] for row in curves)) or ['none']
-    figure, panels = new_axes(len(stages), width=4.0 * len(stages), height=3.0)
-    for panel, stage in zip(panels, stages, strict=True):
-        rows = [row for row in curves if row['stage'] == stage]
-        panel.plot(
-            [row['epoch'] for row in rows], [row['loss'] for row in rows], label='training loss'
-        )
-        known = [(row['epoch'], row['validation']) for row in rows if row['validation'] is not None]
-        if known:
-            panel.plot(*zip(*known, strict=True), label='validation MAE')
-        # The logarithm of a likelihood may be negative and is not a force.
-        forces = all(row['loss'] > 0.0 for row in rows)
-        scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
-        panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
-        panel.legend()
-    save_figure(figure, folder / 'curves.png')
 
 
 CHECKPOINT = 'checkpoint.safetensors'
@@ -235,14 +216,12 @@ class Trained:
     Attributes:
         model: Content of its weight file, without figures.
         curves: One row per epoch.
-        sources: Trials that it was trained on.
-        skipped: Trials that were left out, with the reason.
+        data: Trials that it was trained on, held back, and left out.
     """
 
     model: Model
     curves: list[dict[str, Any]]
-    sources: list[TrialSource]
-    skipped: dict[str, str]
+    data: TrainingData
 
 
 def train_model(
@@ -290,7 +269,10 @@ def train_model(
         own, size = together.share(range(len(data.trained))), settings.group_trials
         groups = DiskGroups(data.trained, recipe.config, size, own)
         held = DiskGroups(data.checked, recipe.config, size) if data.checked else None
-        network, curves = train_fger(recipe.config, settings, groups, held, **shared)
+        start = network_of(read_model(find_model(config.start))) if config.start else None
+        if start is not None and held is None:
+            raise DatasetError('one trial cannot be held back', remedy='record two or more')
+        network, curves = train_fger(recipe.config, settings, groups, held, start=start, **shared)
         model = model_of(network, ModelCard({}))
     else:
         samples, checked = (
@@ -304,8 +286,8 @@ def train_model(
         'processes': together.world,
     }
     if folder is not None and together.leads:
-        write_curves(folder, curves)
-    return Trained(replace(model, card=ModelCard(training)), curves, data.sources, data.skipped)
+        write_json(folder / 'curves.json', {'epochs': curves})
+    return Trained(replace(model, card=ModelCard(training)), curves, data)
 
 
 def chosen_device(name: str) -> str:
@@ -368,7 +350,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
                 processes=processes,
             )
         if processes.leads:
-            show_skipped(console, trained.skipped)
+            show_skipped(console, trained.data.skipped)
             _judge_and_write(console, config, trained, json)
     finally:
         processes.leave()
@@ -395,25 +377,31 @@ def _judge_and_write(
 
 
 def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
-    """Return the figures of a model that was trained on simulated trials.
+    """Return the figures of a model.
 
     Returns:
-        Figures by profile, of fresh days of sensors that were trained on and of sensors that were
-        not; nothing for bags, whose test trials `mixtac evaluate` judges.
+        Figures by profile: of an adapted model on the trials that were held back, `before` and
+        `after`; of one that was trained on simulated trials on fresh days of sensors that were
+        trained on, `seen_devices`, and on others, `unseen_devices`; else nothing.
 
     Raises:
         MixtacError: The model gives no estimate, or sees no press.
     """
-    data = config.data.simulated
+    estimator, data = trial_estimator(trained.model), config.data.simulated
+    if config.start:
+        before = trial_estimator(read_model(find_model(config.start)))
+        return {
+            name: by_profile(judge_sources(each, trained.data.held).estimates)
+            for name, each in (('before', before), ('after', estimator))
+        }
     if data is None or config.judged < 1:
         return {}
     preset = data.presets[0]
-    origins = [source.origin for source in trained.sources]
-    # By another preset the same seed is another sensor; bags need not tell either.
+    origins = [source.origin for source in trained.data.sources]
+    # By another preset the same seed is another sensor; bags need not name either.
     known = sorted({each['device_seed'] for each in origins if each.get('preset') == preset})
     most = -(-config.judged // 2)
     seen = known[:: max(len(known) // most, 1)][:most]
-    estimator = trial_estimator(trained.model)
     plan = {'seen_devices': (seen, 0), 'unseen_devices': (unseen_devices(config.judged, 0), 1)}
     return {
         name: judge_devices(estimator, devices, EVALUATION_SECONDS, seed, preset)[1]

@@ -171,7 +171,7 @@ class SequenceStage(FgerStage):
 
     def begin(self) -> None:
         """Initialise the recurrent path so that it follows the frames."""
-        if not self.joint:
+        if not self.joint and not self.model.adapts:
             follow_frames(self.model.network)
 
     def parameters(self) -> list[nn.Parameter]:
@@ -463,6 +463,7 @@ def train_fger(
     groups: DiskGroups,
     checked: DiskGroups | None = None,
     *,
+    start: FgerNetwork | None = None,
     device: str = 'cpu',
     processes: Processes | None = None,
     **options: Any,  # noqa: ANN401
@@ -474,6 +475,7 @@ def train_fger(
         settings: Stages and rates.
         groups: Trials to train on.
         checked: Trials to validate on; None for none.
+        start: Trained network to adapt; None for random weights.
         device: Device to compute on.
         processes: Processes that share the training; None for this one.
         options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
@@ -482,15 +484,17 @@ def train_fger(
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
     """
     processes = processes or Processes()
-    if config.shear and not processes.mean(torch.tensor(float(tells_across(groups)))):
+    learns_across = config.shear and start is None
+    if learns_across and not processes.mean(torch.tensor(float(tells_across(groups)))):
         raise TrainingError(
             'network.shear is set, but the sideways force of no trial is known: only simulated'
             ' trials tell it',
             remedy='set network.shear to false, or name simulated trials as well',
         )
     torch.manual_seed(settings.seed)
-    model = NetworkWithGains(config, groups.devices)
-    model.fit_scales(groups.load(0))
+    model = NetworkWithGains(config, groups.devices, start)
+    if start is None:
+        model.fit_scales(groups.load(0))
     processes.average_buffers(model)
     model.to(device)
     loop = TrainingLoop(
@@ -517,7 +521,7 @@ def train_fger(
     if config.deviation_size:
         # Errors of trials that were trained on are too small to calibrate by.
         calibrate_deviation(network, collect(network, checked or groups))
-    if config.shear:
+    if learns_across:
         told = checked is not None and tells_across(checked)
         calibrate_shear(network, checked if checked is not None and told else groups)
     processes.average_buffers(network)

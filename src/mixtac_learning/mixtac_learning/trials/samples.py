@@ -1,27 +1,181 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training samples of FGER-Net: the features of a trial with the force of each window."""
+"""Training samples on disk, and those of FGER-Net: features of a trial, force of each window.
+
+Samples are keyed by the content of their trial and by their recipe.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.files import FileError, new_folder
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 from mixtac_fger.shear import NEWTONS
-from mixtac_learning.trials.store import read_arrays, write_arrays
 from mixtac_learning.trials.trial import (
     DatasetError,
     ForceLabel,
     TrialArrays,
+    TrialSource,
     frame_arrivals,
     window_ends,
 )
+
+
+def write_arrays(
+    path: Path, arrays: Mapping[str, NDArray[np.generic]], facts: object, facts_file: str
+) -> None:
+    """Write a folder of arrays that can be mapped, whole or not at all.
+
+    Processes may write the same folder at the same time: the first one's stays.
+
+    Args:
+        path: Folder to write.
+        arrays: By name; one file each.
+        facts: What else belongs to them, JSON-ready.
+        facts_file: File of the facts in the folder.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    try:
+        with new_folder(path) as folder:
+            folder.mkdir()
+            for name, array in arrays.items():
+                np.save(folder / f'{name}.npy', array, allow_pickle=False)
+            (folder / facts_file).write_text(json.dumps(facts), encoding='utf-8')
+    except FileError:
+        if not path.is_dir():
+            raise
+
+
+def read_arrays(
+    path: Path, facts_file: str, needed: Iterable[str]
+) -> tuple[dict[str, NDArray[Any]], Any]:
+    """Map the arrays of a folder, and read its facts.
+
+    Args:
+        path: Folder.
+        facts_file: File of the facts in it.
+        needed: Names of the arrays that it must have.
+
+    Raises:
+        DatasetError: The folder is missing or damaged.
+    """
+    try:
+        facts = json.loads((path / facts_file).read_text(encoding='utf-8'))
+        names = {*needed, *(file.stem for file in path.glob('*.npy'))}
+        return {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in names}, facts
+    except (OSError, EOFError, ValueError) as error:
+        raise DatasetError(
+            f'{path} cannot be read ({error})', remedy='remove it; it is then prepared again'
+        ) from error
+
+
+class Recipe(Protocol):
+    """Recipe of a network's samples; must be picklable, to be sent to other processes."""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the files."""
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return everything that changes what a sample holds, as JSON-ready values."""
+
+    def write(self, trial: TrialArrays, path: Path) -> None:
+        """Prepare a trial and write it, whole or not at all.
+
+        Raises:
+            DatasetError: The trial cannot be used.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Samples on disk, and the trials that could not be used.
+
+    Attributes:
+        paths: Files of each trial by recipe, in the order of the sources.
+        skipped: Why a trial was left out, by its name.
+        kept: Which of the sources gave a sample, by index.
+    """
+
+    paths: list[list[Path]]
+    skipped: dict[str, str]
+    kept: list[int]
+
+
+def sample_path(source: TrialSource, recipe: Recipe, folder: Path) -> Path:
+    """Return the file of a source's sample: its name and a digest of content and recipe."""
+    described = json.dumps([source.content_key(), recipe.fingerprint()], sort_keys=True)
+    digest = hashlib.blake2b(described.encode(), digest_size=8).hexdigest()
+    return folder / f'{source.name}-{digest}{recipe.suffix}'
+
+
+def prepare(
+    sources: Sequence[TrialSource],
+    recipes: Sequence[Recipe],
+    folder: Path,
+    jobs: int = 1,
+    on_progress: Callable[[int], None] = lambda _done: None,
+) -> Prepared:
+    """Make sure that the samples of all sources are on disk.
+
+    One trial per process is in memory at a time. A trial that cannot be used is left out and
+    reported; the others are used.
+
+    Args:
+        sources: Trials.
+        recipes: Recipes of the samples; each trial is loaded once for all of them.
+        folder: Folder of the samples.
+        jobs: Processes.
+        on_progress: Called with the number of trials done.
+
+    Raises:
+        DatasetError: No trial can be used.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths, skipped, kept = [], {}, []
+    calls = [joblib.delayed(_prepare_one)(source, recipes, folder) for source in sources]
+    results = joblib.Parallel(jobs, return_as='generator', batch_size=1)(calls)
+    for index, (found, reason) in enumerate(results):
+        if found:
+            paths.append(found)
+            kept.append(index)
+        else:
+            skipped[sources[index].name] = reason
+        on_progress(index + 1)
+    if not paths:
+        first = next(iter(skipped.values()), 'there are none')
+        raise DatasetError(f'none of {len(sources)} trials can be used: {first}')
+    return Prepared(paths, skipped, kept)
+
+
+def _prepare_one(
+    source: TrialSource, recipes: Sequence[Recipe], folder: Path
+) -> tuple[list[Path], str]:
+    try:
+        paths = [sample_path(source, recipe, folder) for recipe in recipes]
+        missing = [pair for pair in zip(paths, recipes, strict=True) if not pair[0].exists()]
+        if missing:
+            trial = source.load()
+            for path, recipe in missing:
+                recipe.write(trial, path)
+    except MixtacError as error:
+        return [], str(error)
+    return paths, ''
+
 
 CONTACT_N = 0.01
 """Largest true force during the reference frames [N]."""
@@ -233,18 +387,16 @@ class FgerRecipe:
 
     Attributes:
         config: Network configuration.
-        label: Which force to learn, one of `mixtac_learning.trials.trial.LABELS`.
     """
 
     config: FgerConfig
-    label: str = 'best'
     suffix = '.fger'
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what changes a sample."""
         fields = self.config.to_dict()
         kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 6', 'label': self.label} | kept
+        return {'kind': 'fger 7'} | kept
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it, whole or not at all.
@@ -252,5 +404,5 @@ class FgerRecipe:
         Raises:
             DatasetError: As `make_sample`, or the trial has no such force.
         """
-        sample = make_sample(self.config, trial, trial.label(self.label), trial.origin)
+        sample = make_sample(self.config, trial, trial.label(), trial.origin)
         save_sample(path, sample, self.config)

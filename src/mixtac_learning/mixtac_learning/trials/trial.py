@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -63,10 +63,6 @@ class AcrossLabel:
         return np.stack([np.interp(t_us, self.t_us, column) for column in self.values.T], axis=1)
 
 
-LABELS = ('best', 'true', 'reference')
-"""Which force: the true one where it is known and the reference otherwise, or one of them."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialArrays:
     """Data of a camera and a force sensor in one trial; camera clock [us].
@@ -100,28 +96,19 @@ class TrialArrays:
         """Force profile, `unknown` if a recording does not state it."""
         return str(self.origin.get('profile', 'unknown'))
 
-    def label(self, kind: str = 'best') -> ForceLabel:
-        """Return a force of the trial.
-
-        Args:
-            kind: One of `LABELS`.
+    def label(self) -> ForceLabel:
+        """Return the force to learn: the true one where it is known, else the reference's.
 
         Raises:
-            DatasetError: It is not known for this trial, or there is no such kind.
+            DatasetError: Neither is known.
         """
-        if kind not in LABELS:
-            raise DatasetError(f'label {kind!r} is unknown: choose one of {", ".join(LABELS)}')
-        chosen = {
-            'best': self.truth or self.reference,
-            'true': self.truth,
-            'reference': self.reference,
-        }[kind]
-        if chosen is None:
+        found = self.truth or self.reference
+        if found is None:
             raise DatasetError(
-                f'{self.origin.get("name", "a trial")} has no {kind} force: record the reference'
-                ' sensor beside the camera, or choose another label'
+                f'no force is known of {self.origin.get("name", "a trial")}',
+                remedy='record the reference sensor beside the camera',
             )
-        return chosen
+        return found
 
 
 def sensor_of(origin: Mapping[str, Any], otherwise: str) -> str:
@@ -258,109 +245,3 @@ class SimulatedSource:
             across=AcrossLabel(truth_us, truth_wrench(trial.truth)[:, [0, 1, 5]]),
             origin=self.origin,
         )
-
-
-@dataclass(frozen=True)
-class DerivedSource:
-    """A source made of another one.
-
-    Attributes:
-        source: Where the trial comes from.
-    """
-
-    source: TrialSource
-
-    @property
-    def name(self) -> str:
-        """Name of the trial."""
-        return self.source.name
-
-    @property
-    def origin(self) -> dict[str, Any]:
-        """What is known of the trial."""
-        return self.source.origin
-
-    def content_key(self) -> str:
-        """Return the key of the source."""
-        return self.source.content_key()
-
-
-@dataclass(frozen=True)
-class ChangedSource(DerivedSource):
-    """A changed trial.
-
-    Attributes:
-        label: Name of the change.
-        change: Makes the change.
-    """
-
-    label: str
-    change: Callable[[TrialArrays], TrialArrays]
-
-    @property
-    def name(self) -> str:
-        """Name of the trial and of the change."""
-        return f'{self.source.name}-{self.label}'
-
-    def content_key(self) -> str:
-        """Return the key of the source with the change."""
-        return f'{self.source.content_key()} {self.label}'
-
-    def load(self) -> TrialArrays:
-        """Return the changed trial."""
-        return self.change(self.source.load())
-
-
-BLUR_PX = 1.5
-"""Standard deviation of the blur of frames; events stay sharp [px]."""
-SHADE = 0.4
-"""Part of the light that the corners of the frames lose."""
-LATE_US = 3_000
-"""Error of the exposure's times [us]."""
-DEAD = 0.01
-"""Part of the pixels that give neither events nor light."""
-
-
-def blurred(trial: TrialArrays) -> TrialArrays:
-    """Return a trial with frames out of focus by `BLUR_PX`."""
-    from scipy.ndimage import gaussian_filter
-
-    frames = np.stack([gaussian_filter(frame, BLUR_PX) for frame in trial.frames])
-    return replace(trial, frames=frames)
-
-
-def shaded(trial: TrialArrays) -> TrialArrays:
-    """Return a trial with frames that darken by `SHADE` towards one corner."""
-    rows, columns = trial.frames.shape[1:]
-    along_y = np.linspace(0.0, 0.5, rows)[:, None]
-    along_x = np.linspace(0.0, 0.5, columns)[None]
-    factor = 1.0 - SHADE * (along_y + along_x)
-    frames = np.stack([np.round(frame * factor).astype(np.uint16) for frame in trial.frames])
-    return replace(trial, frames=frames)
-
-
-def shifted_exposure(trial: TrialArrays) -> TrialArrays:
-    """Return a trial whose exposure times are `LATE_US` too late."""
-    return replace(
-        trial,
-        exposure_start_us=trial.exposure_start_us + LATE_US,
-        exposure_end_us=trial.exposure_end_us + LATE_US,
-    )
-
-
-def dead_pixels(trial: TrialArrays) -> TrialArrays:
-    """Return a trial with `DEAD` of the pixels dead, the same ones in events and frames."""
-    rows, columns = trial.frames.shape[1:]
-    dead = np.random.default_rng(0).random((rows, columns)) < DEAD
-    frames = np.where(dead, np.uint16(0), trial.frames)
-    events: Events = trial.events[~dead[trial.events.y, trial.events.x]]
-    return replace(trial, frames=frames, events=events)
-
-
-MISMATCHES: dict[str, Callable[[TrialArrays], TrialArrays]] = {
-    'blur': blurred,
-    'shading': shaded,
-    'exposure_3ms': shifted_exposure,
-    'dead_pixels': dead_pixels,
-}
-"""Changes by name."""

@@ -4,16 +4,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 
 import pytest
-from rich.console import Console
 
-from mixtac_core.recordings.recording import RecordingError
-from mixtac_learning.experiments import harness, store, vibration
-from mixtac_learning.experiments.harness import QUICK, run_experiments, select
+from mixtac_learning.experiments import harness, vibration
+from mixtac_learning.experiments.harness import QUICK, run_experiments
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -35,11 +32,11 @@ TINY = replace(
 )
 
 
-def carried_out(folder, *names, **options):
-    console = Console(file=io.StringIO(), width=120)
-    settings = {'quick': True, 'json': folder / 'rows.json', 'out': folder, 'seeds': 1, 'jobs': 1}
-    outcomes = run_experiments(console, select(names), **settings | options)
-    return {each.name: each for each in outcomes}, console.file.getvalue()
+def carried_out(folder):
+    outcomes = run_experiments(
+        ['fusion', 'vibration'], quick=True, json=folder / 'rows.json', out=folder, seeds=1, jobs=1
+    )
+    return {each.name: each for each in outcomes}
 
 
 @pytest.fixture(scope='module')
@@ -50,12 +47,11 @@ def finished(tmp_path_factory):
         patch.setitem(SIZES_MM, TAPPING, (1.0,))
         patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))
         folder = tmp_path_factory.mktemp('run')
-        outcomes, text = carried_out(folder, 'fusion', 'vibration')
-        yield folder, outcomes, text
+        yield folder, carried_out(folder)
 
 
 def test_report_says_what_was_measured_on_what(finished):
-    folder, outcomes, text = finished
+    folder, outcomes = finished
     page = (folder / 'report.md').read_text(encoding='utf-8')
     rows = json.loads((folder / 'rows.json').read_text(encoding='utf-8'))['rows']
     assert {row['experiment'] for row in rows} == {'fusion', 'vibration'}
@@ -65,7 +61,7 @@ def test_report_says_what_was_measured_on_what(finished):
     assert sorted(row['paper'] for row in maes) == [0.04, 0.04, 0.1]
     assert all(path.stat().st_size > 5000 for o in outcomes.values() for path in o.figures.values())
     assert 'paper_like' in page
-    assert 'feature-level fusion' in text
+    assert 'feature-level fusion' in page
 
 
 def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
@@ -75,23 +71,11 @@ def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
 
 
 def test_a_second_run_computes_nothing(finished, monkeypatch):
-    folder, first, _ = finished
+    folder, first = finished
 
-    def refuse(_folder, _index, piece):
+    def refuse(*piece):
         raise AssertionError(piece)
 
-    monkeypatch.setattr(store, '_compute', refuse)
-    again, _ = carried_out(folder, 'fusion', 'vibration')
+    monkeypatch.setattr(harness, '_compute', refuse)
+    again = carried_out(folder)
     assert again['fusion'].rows == first['fusion'].rows
-
-
-def test_what_the_bags_do_not_hold_is_named_and_the_rest_goes_on(tmp_path):
-    names = 'vibration', 'impact', 'slip'
-    outcomes, text = carried_out(tmp_path, *names, bags=tmp_path)
-    assert str(tmp_path / 'impact') in outcomes['impact'].skipped
-    # A closed loop and tones are only simulated.
-    assert all(outcomes[name].skipped and not outcomes[name].rows for name in names)
-    assert all(outcome.title in text for outcome in outcomes.values())
-    with pytest.raises(RecordingError) as refused:
-        carried_out(tmp_path, 'impact', bags=tmp_path)
-    assert refused.value.remedy

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes of the networks, times of their steps, and the table of sensors."""
+"""Sizes of the networks and times of their steps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from mixtac_learning.experiments import model
-from mixtac_learning.judge.estimators import TrialEstimate
 
 
 def test_paper_network_is_counted_and_timed(monkeypatch):
@@ -37,15 +36,3 @@ def test_each_window_and_each_frame_after_the_reference_is_timed():
     assert len(window_ms) > 1000
     assert 45 < len(frame_ms) < 70
     assert min(window_ms) > 0.0
-
-
-def test_table_of_sensors_is_the_papers_with_our_lines():
-    t_us = 2000 * np.arange(1000)
-    known = np.linspace(0.0, 1.2, 1000)
-    trial = TrialEstimate('t', 'dynamic', 'd', t_us, known + 0.05, known, None)
-    lines = model.sensor_table({'ours': {0: [trial]}, 'fger': {0: [trial]}}, simulated=True)
-    assert [line[0] for line in lines[1:5]] == ['Insight', 'ViTacTip', 'E-BTS', 'GelEvent']
-    assert lines[5][2:] == ('500', '0.04', '1')
-    assert lines[6][2:] == ('500', '0.05', '1.2')
-    assert all('simulated' in line[0] for line in lines[6:])
-    assert len({len(line) for line in lines}) == 1

@@ -43,19 +43,15 @@ def test_numbers_are_short(value, text):
     assert number(value) == text
 
 
-def test_report_holds_all_rows_and_what_was_skipped(tmp_path):
+def test_a_report_holds_all_rows(tmp_path):
     figure = tmp_path / 'a.png'
     row = Row('x < y: MAE', Value(0.05, 0.01, 3, 'seeds'), 0.04, 'section 1', 'N', 'dark & cold')
     cited = Row('other', Value.of([]), 0.8, 'table', 'N', 'cited', False)
-    outcomes = [
-        Outcome('inputs', 'Inputs', 'p', 'd', [row, cited], {'c': figure}, ('smaller',)),
-        Outcome('slip', 'Slip', 'p', 'none', skipped='not from bags'),
-    ]
+    outcome = Outcome('inputs', 'Inputs', 'p', 'd', [row, cited], {'c': figure}, ('smaller',))
     path = tmp_path / 'sub' / 'rows.json'
-    write_report(tmp_path, outcomes, {'seeds': 3}, path)
+    write_report(tmp_path, [outcome], {'seeds': 3}, path)
     text = (tmp_path / 'report.md').read_text(encoding='utf-8')
     assert '0.05 ± 0.01 (3 seeds)' in text
-    assert 'not from bags' in text
     assert (tmp_path / 'report.json').read_bytes() == path.read_bytes()
     content = json.loads(path.read_text(encoding='utf-8'))
     first, second = content['rows']
@@ -65,7 +61,6 @@ def test_report_holds_all_rows_and_what_was_skipped(tmp_path):
     assert {'name', 'paper', 'place', 'unit', 'conditions'} <= set(first)
     assert second['ours']['mean'] is None
     assert content['experiments'][0]['figures'] == {'c': 'a.png'}
-    assert content['experiments'][1]['skipped'] == 'not from bags'
 
 
 def estimate(seconds, seed=0, error=0.1, held=1):
@@ -79,7 +74,7 @@ def estimate(seconds, seed=0, error=0.1, held=1):
 
 def test_rows_spread_over_seeds():
     by_seed = {seed: [estimate(3.0, 10 * seed + k) for k in range(2)] for seed in range(3)}
-    mae, rmse, r2 = error_rows('m', by_seed, {'mae': 0.04}, 'p', 'c', simulated=True)
+    mae, rmse, r2 = error_rows('m', by_seed, {'mae': 0.04}, 'p', 'c')
     values = [
         np.mean(np.abs(np.concatenate([e.force - e.known for e in trials])))
         for trials in by_seed.values()

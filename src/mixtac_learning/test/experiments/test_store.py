@@ -5,15 +5,14 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import os
 import pickle
 from typing import TYPE_CHECKING
 
 import pytest
 
+from mixtac_learning.experiments import harness
+from mixtac_learning.experiments.harness import Piece, compute
 from mixtac_learning.experiments.slip import TrialPlan, trial_piece
-from mixtac_learning.experiments.store import Piece, code_version, compute
 from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
@@ -34,8 +33,8 @@ def log(tmp_path):
     return tmp_path / 'log'
 
 
-def piece_of(value: int, log: Path, files: tuple[Path, ...] = ()) -> Piece:
-    return Piece(f'squared_{value}', square, (value, log), files=files)
+def piece_of(value: int, log: Path) -> Piece:
+    return Piece(f'squared_{value}', square, (value, log))
 
 
 @pytest.mark.parametrize('jobs', [1, 2])
@@ -61,45 +60,16 @@ def test_an_interrupted_run_continues_and_a_damaged_result_is_computed_again(tmp
     assert log.read_text().split() == ['2', '-1', '3']
 
 
-def test_version_of_code_changes_with_any_file_of_the_packages(tmp_path, monkeypatch):
-    package = tmp_path / 'versioned_package'
-    package.mkdir()
-    (package / '__init__.py').write_text('')
-    monkeypatch.syspath_prepend(tmp_path)
-    code_version.cache_clear()
-    found = []
-    for text in ('A = 1\n', 'A = 2\n'):
-        (package / 'part.py').write_text(text)
-        found += [code_version('versioned_package'), code_version('versioned_package.part')]
-        code_version.cache_clear()
-    (package / 'table.yaml').write_text('a: 1\n')
-    found.append(code_version('versioned_package'))
-    code_version.cache_clear()
-    assert len(set(found)) == 5
-
-
-def test_other_code_of_the_function_is_another_piece(tmp_path, monkeypatch):
-    module = tmp_path / 'versioned_function.py'
-    monkeypatch.syspath_prepend(tmp_path)
-    code_version.cache_clear()
-    pieces = []
-    for text in ('def work(base): return {}\n', 'def work(base): return {"a": 1}\n'):
-        module.write_text(text)
-        work = importlib.import_module('versioned_function').work
-        pieces.append(Piece('work', work, ()))
-        code_version.cache_clear()
-    assert len({pickle.loads(pickle.dumps(each)).stem for each in pieces}) == 2
-
-
-def test_a_changed_file_is_another_piece(tmp_path, log):
-    path = tmp_path / 'a'
-    path.write_text('a')
-    stems = [piece_of(1, log, (path,)).stem]
-    os.utime(path, ns=(0, 0))
-    stems.append(piece_of(1, log, (path,)).stem)
-    path.write_text('ab')
-    stems.append(piece_of(1, log, (path,)).stem)
-    assert len(set(stems)) == 3
+def test_changed_code_is_another_piece(tmp_path, monkeypatch):
+    (tmp_path / 'part.py').write_text('A = 1')
+    monkeypatch.setattr(harness, 'files', lambda _package: tmp_path)
+    stems = []
+    for text in ('A = 1', 'A = 2'):
+        (tmp_path / 'part.py').write_text(text)
+        harness.code_version.cache_clear()
+        stems.append(pickle.loads(pickle.dumps(piece_of(1, tmp_path / 'log'))).stem)
+    harness.code_version.cache_clear()
+    assert len(set(stems)) == 2
 
 
 def test_other_settings_of_a_trial_are_another_piece():

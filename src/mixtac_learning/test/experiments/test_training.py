@@ -5,73 +5,33 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-import yaml
 
-from mixtac_core.recordings.recording import RecordingError
 from mixtac_learning.experiments.harness import FULL
 from mixtac_learning.experiments.training import (
     PROFILES,
-    BagTrials,
-    SimulatedTrials,
     load_estimate,
     save_estimate,
+    test_trials,
+    training_data,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.run import training_sources
 
+test_trials.__test__ = False
 
-def test_simulated_tests_are_other_days_of_the_sensor_that_was_trained_on():
-    sets = SimulatedTrials(FULL)
+
+def test_tests_are_other_days_of_the_sensor_that_was_trained_on():
+    sensors = set()
     for seed in range(3):
-        trained = [source.origin for source in training_sources(sets.training(seed))]
-        tested = [s.origin for profile in PROFILES for s in sets.tests(seed, profile)]
-        devices = {origin['device_seed'] for origin in trained}
-        assert len(devices) == 1
-        assert devices == {origin['device_seed'] for origin in tested}
-        days = [origin['trial_seed'] for origin in tested]
+        trained = [source.spec for source in training_sources(training_data(FULL, seed))]
+        tested = [spec for name in PROFILES for spec in test_trials(FULL, seed, name)]
+        (device,) = {spec.device_seed for spec in trained}
+        assert {spec.device_seed for spec in tested} == {device}
+        days = [spec.trial_seed for spec in tested]
         assert len(set(days)) == len(days)
-        assert not set(days) & {origin['trial_seed'] for origin in trained}
-
-
-def test_seeds_are_other_sensors():
-    sets = SimulatedTrials(FULL)
-    assert len({sets.tests(seed, 'static')[0].origin['device_seed'] for seed in range(3)}) == 3
-
-
-def bags(folder, profile, count):
-    for k in range(count):
-        bag = folder / profile / f'trial_{k:02d}'
-        bag.mkdir(parents=True)
-        (bag / 'metadata.yaml').write_text('rosbag2_bagfile_information: {}\n')
-
-
-def test_a_users_bags_are_split_eight_to_two_by_trial(tmp_path):
-    bags(tmp_path, 'static', 10)
-    bags(tmp_path, 'impact', 5)
-    sets = BagTrials(tmp_path)
-    held = [source.name for source in sets.tests(0, 'static')]
-    assert held == ['trial_04', 'trial_09']
-    assert sets.tests(0, 'static')[0].origin['profile'] == 'static'
-    trained = sets.training(0).bags
-    assert len(trained) == 8 + 4
-    assert not any(name in path for name in held for path in trained if 'static' in path)
-    assert not sets.simulated
-    with pytest.raises(RecordingError) as refused:
-        sets.tests(0, 'dynamic')
-    assert str(tmp_path / 'dynamic') in str(refused.value)
-
-
-def test_splits_of_a_described_data_set_are_kept(tmp_path):
-    bags(tmp_path, 'static', 5)
-    trials = [
-        {'name': f'trial_{k:02d}', 'split': 'val' if k == 1 else 'train', 'trial_seed': k}
-        for k in range(5)
-    ]
-    (tmp_path / 'static' / 'dataset.yaml').write_text(yaml.safe_dump({'trials': trials}))
-    sets = BagTrials(tmp_path)
-    assert [source.name for source in sets.tests(0, 'static')] == ['trial_01']
-    assert sets.simulated
+        assert not set(days) & {spec.trial_seed for spec in trained}
+        sensors.add(device)
+    assert len(sensors) == 3
 
 
 def test_estimates_survive_the_disk(tmp_path):

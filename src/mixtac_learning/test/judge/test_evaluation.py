@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mixtac_fger.weights import ModelCard, write_model
 from mixtac_learning.judge import report as evaluation
+from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.report import SERIES
 from mixtac_learning.trials.trial import DatasetError, TrialArrays
 
@@ -57,21 +58,19 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, replace(model, card=ModelCard({'bags': ['a', 'b']})))
     bags = [Path('one.bag'), Path('folder')]
-    series = tmp_path / 'forces.npz'
+    series = tmp_path / 'forces.csv'
     evaluation.run_evaluation(path, bags, reference='/w', json=out, series=series)
     warnings = capsys.readouterr().err
     assert 'its end is missing' in warnings
     assert 'trained on bags of these names: b\n' in warnings
     assert json.loads(out.read_text())['bags'] == ['one.bag', 'b']
-    found = np.load(series)
-    assert set(found['trial']) == {'one.bag', 'b'}
-    assert len({len(found[name]) for name in SERIES}) == 1
-    assert np.array_equal(found['valid'], found['reason'] == 'TRUSTED')
-    evaluation.run_evaluation(path, bags[:1], reference='/w', series=tmp_path / 'forces.csv')
-    rows = (tmp_path / 'forces.csv').read_text().splitlines()
-    assert len(rows) == 1 + np.count_nonzero(found['trial'] == 'one.bag')
-    with pytest.raises(DatasetError):
-        evaluation.run_evaluation(path, bags, series=tmp_path / 'forces.txt')
+    rows = list(csv.reader(series.read_text().splitlines()))
+    assert {len(row) for row in rows} == {len(SERIES)}
+    assert {row[0] for row in rows[1:]} == {'one.bag', 'b'}
+    assert all((row[4] == '1') == (row[5] == 'TRUSTED') for row in rows[1:])
+    estimates = trial_estimator(model)(trial)
+    forces = [float(row[2]) for row in rows[1:] if row[0] == 'b']
+    assert forces == pytest.approx(estimates.force, abs=1e-6)
 
 
 def test_bags_of_one_name_are_told_apart_by_their_folders(model, trial, tmp_path, monkeypatch):
@@ -79,10 +78,8 @@ def test_bags_of_one_name_are_told_apart_by_their_folders(model, trial, tmp_path
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, model)
-    series = tmp_path / 'forces.npz'
-    evaluation.run_evaluation(path, [tmp_path], json=out, series=series)
+    evaluation.run_evaluation(path, [tmp_path], json=out)
     assert json.loads(out.read_text())['bags'] == ['static_a', 'dynamic_a', 'b']
-    assert set(np.load(series)['trial']) == {'static_a', 'dynamic_a', 'b'}
 
 
 def test_a_folder_of_training_bags_is_refused_with_their_number(

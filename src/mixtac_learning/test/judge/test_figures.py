@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mixtac_learning.judge import report
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.judge.metrics import fast_error, moving_mean, peak_error, rolling_errors
+from mixtac_learning.judge.metrics import peak_error
 from mixtac_learning.judge.report import by_profile, draw_trials, show_figures, summarise
 
 STEP_S = 0.002
-T = np.arange(2000) * STEP_S
 
 
 def estimate(known, force, profile='press', device='a', **rest) -> TrialEstimate:
@@ -25,22 +23,6 @@ def estimate(known, force, profile='press', device='a', **rest) -> TrialEstimate
     return TrialEstimate(
         't', profile, device, t_us, force, known, rest.pop('reference', None), **rest
     )
-
-
-def test_moving_mean_is_a_mean_over_the_neighbours():
-    values = np.random.default_rng(0).normal(size=50)
-    wanted = [values[max(i - 2, 0) : i - 2 + 5].mean() for i in range(50)]
-    assert moving_mean(values, 5) == pytest.approx(wanted)
-
-
-def test_slow_errors_do_not_count_as_fast_ones():
-    known = np.sin(2 * np.pi * 0.3 * T)
-    fast, constant = fast_error(known, known + 0.5, STEP_S)
-    assert fast == pytest.approx(0.0, abs=1e-12)
-    assert constant < 0.01
-    missed, constant = fast_error(0.1 * np.sin(2 * np.pi * 50 * T), np.zeros(2000), STEP_S)
-    assert missed == pytest.approx(constant)
-    assert missed == pytest.approx(0.1 * 2 / np.pi, rel=0.05)
 
 
 def test_peaks_may_be_a_little_early():
@@ -51,11 +33,6 @@ def test_peaks_may_be_a_little_early():
     far[300] = 8.0
     assert peak_error(known, far, STEP_S) == pytest.approx(1.0)
     assert np.isnan(peak_error(np.zeros(5), np.ones(5), STEP_S))
-
-
-def test_rolling_errors_show_where_an_error_grows():
-    rolling = rolling_errors(np.zeros(2000), T, STEP_S)
-    assert rolling == pytest.approx(np.arange(8) * 0.5 + 0.249, abs=1e-9)
 
 
 def test_profiles_are_kept_apart_and_pooled():
@@ -100,14 +77,3 @@ def test_trials_are_drawn(tmp_path):
     path = tmp_path / 'new' / 'trials.png'
     draw_trials(path, 'a title', [estimate(known, known, p) for p in ('press', 'press', 'static')])
     assert path.read_bytes()[:4] == b'\x89PNG'
-
-
-def test_rolling_errors_are_drawn_over_the_time_of_the_windows(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(report, 'save_figure', lambda figure, _path: drawn.append(figure))
-    known = np.linspace(0, 1, 600)
-    slow = replace(estimate(known, known), t_us=np.arange(600, dtype=np.int64) * 4000)
-    draw_trials(tmp_path / 'trials.png', 'a title', [slow])
-    _, rolling = drawn[0].axes
-    (line,) = rolling.lines
-    assert len(line.get_xdata()) == 4

@@ -12,9 +12,6 @@ from hypothesis import strategies as st
 from mixtac_learning.judge.metrics import (
     CalibrationError,
     fit_scale,
-    frame_jump,
-    hold_noise,
-    lag_ms,
     measure,
 )
 from mixtac_learning.trials.trial import DatasetError
@@ -45,36 +42,6 @@ def test_the_best_constant_has_the_constant_figure():
 def test_arrays_that_cannot_be_compared_are_refused(truth, estimate):
     with pytest.raises(DatasetError):
         measure(np.array(truth), np.array(estimate))
-
-
-INTERVAL_S = 0.002
-
-
-def test_steps_at_frames_are_told_from_motion():
-    corrected = np.arange(200) % 20 == 0
-    motion = 0.001 * np.arange(200)
-    assert frame_jump(motion, corrected) == pytest.approx(1.0)
-    assert frame_jump(motion + 0.004 * np.cumsum(corrected), corrected) == pytest.approx(5.0)
-    assert np.isnan(frame_jump(motion, np.zeros(200, np.bool_)))
-    assert np.isnan(frame_jump(np.cumsum(corrected) + 1e-9 * motion, corrected))
-
-
-def test_noise_of_a_hold_is_that_without_drift_and_without_the_way_there():
-    rng = np.random.default_rng(1)
-    known = np.interp(np.arange(6000), [0, 1000, 1500], [0.0, 0.0, 1.0])
-    noise = rng.normal(0.0, 0.02, 6000)
-    drift = 0.1 * np.sin(2.0 * np.pi * np.arange(6000) * INTERVAL_S / 12.0)
-    bad = np.where(known < 1.0, 10.0 * noise, noise)
-    assert hold_noise(known, known + bad + drift, INTERVAL_S) == pytest.approx(0.02, rel=0.1)
-    assert np.isnan(hold_noise(np.zeros(6000), noise, INTERVAL_S))
-
-
-@pytest.mark.parametrize('late', [-6.0, 0.0, 3.0, 7.0])
-def test_lag_is_found_between_samples(late):
-    t_ms = 2.0 * np.arange(3000)
-    known, estimate = (1.0 + np.sin(2.0 * np.pi * (t_ms - d) / 97.0) for d in (0.0, late))
-    assert lag_ms(known, estimate, INTERVAL_S) == pytest.approx(late, abs=0.1)
-    assert np.isnan(lag_ms(np.ones(3000), estimate, INTERVAL_S))
 
 
 @given(st.floats(0.3, 3.0), st.integers(0, 100))
