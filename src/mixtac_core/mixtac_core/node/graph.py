@@ -219,7 +219,7 @@ def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] =
         overrides['exclude'] = ' '.join(each.name for each in exclude)
     if reference_topic:
         overrides['reference_topic'] = reference_topic
-    return node('mixtac.record', 'recorder', overrides=overrides)
+    return node('mixtac', 'recorder', overrides=overrides)
 
 
 ROSBAG2_DEPTH = 1000
