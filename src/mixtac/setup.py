@@ -26,7 +26,7 @@ setup(
             'mixtac = mixtac.__main__:main',
             'recorder_node = mixtac.recorder_node:main',
             'supervisor_node = mixtac.supervisor_node:main',
-            'view_node = mixtac.view.view_node:main',
+            'view_node = mixtac.view_node:main',
         ],
     },
 )

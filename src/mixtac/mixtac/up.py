@@ -22,7 +22,7 @@ from rich.console import Console
 
 from mixtac.live import sensor_values, show
 from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
-from mixtac.view.page import require_rerun
+from mixtac.view import require_rerun
 from mixtac_core.node.files import writable
 from mixtac_core.node.graph import (
     NodeSpec,

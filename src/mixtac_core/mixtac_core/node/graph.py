@@ -167,7 +167,7 @@ def sensor_graph(
         own |= virtual_sensor or {}
         nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:
-        nodes.append(node('mixtac.view', 'view', overrides=follow))
+        nodes.append(node('mixtac', 'view', overrides=follow))
     if align:
         nodes += [
             node('mixtac_fger.alignment', 'alignment', overrides={**reference, **follow}),
@@ -258,7 +258,7 @@ def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
     overrides: dict[str, object] = {} if port is None else {'port': port}
     if save is not None:
         overrides['save'] = str(save)
-    return node('mixtac.view', 'view', overrides=overrides)
+    return node('mixtac', 'view', overrides=overrides)
 
 
 def yaml_value(value: object) -> str:
