@@ -45,19 +45,19 @@ def measure(seconds: float) -> dict[str, Any]:
     """
     nodes = sensor_graph('virtual', virtual_sensor={'loop': True, 'reference_topic': 'reference'})
     samples: list[dict[str, float]] = []
-    with ProcessGroup() as group, Monitor(NAMESPACE, seconds + 60.0) as monitor:
+    with ProcessGroup() as group, Monitor(NAMESPACE, group, seconds + 60.0) as monitor:
         start_nodes(group, nodes, NAMESPACE, log_level='warn')
-        monitor.bring_up_all(nodes, group)
+        monitor.bring_up_all(nodes)
         monitor.listen()
-        monitor.wait_for_force(group.check)
-        monitor.trigger('virtual_sensor/play', group.check)
+        monitor.wait_for_force()
+        monitor.trigger('virtual_sensor/play')
         processes = {each.name: psutil.Process(group.pid(each.name)) for each in nodes}
-        first, began_s = monitor.estimate.count, time.monotonic()
+        first, began_s = len(monitor.estimate.samples()[1]), time.monotonic()
         while (elapsed_s := time.monotonic() - began_s) < seconds:
             time.sleep(min(PERIOD_S, seconds - elapsed_s))
             group.check()
             samples.append({'t_s': time.monotonic() - began_s, **resources(processes)})
-        arrival_ns, stamp_ns = monitor.estimate.times_ns[:, first:]
+        arrival_ns, stamp_ns = monitor.estimate.samples(first)[0]
         stopped_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
     age_ms = (arrival_ns - stamp_ns) / 1e6
     return {

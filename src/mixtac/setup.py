@@ -23,10 +23,10 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'mixtac = mixtac.main:main',
-            'recorder_node = mixtac.record.recorder_node:main',
+            'mixtac = mixtac.__main__:main',
+            'recorder_node = mixtac.recorder_node:main',
             'supervisor_node = mixtac.supervisor_node:main',
-            'view_node = mixtac.view.view_node:main',
+            'view_node = mixtac.view_node:main',
         ],
     },
 )

@@ -1,12 +1,35 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m mixtac`: the command line."""
+"""`mixtac`, and `python -m mixtac`: Ctrl-C ends both with one line, during imports too."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 
-from mixtac.main import main
+
+def _leave(_number: int, _frame: object) -> None:
+    os.write(2, b'interrupted\n')
+    os._exit(130)
+
+
+def main() -> int:
+    """Run the command line; return its exit status."""
+    # Where it is ignored, as in a job in the background, it stays so.
+    handles = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if handles:
+        signal.signal(signal.SIGINT, _leave)
+    from mixtac.main import main as run
+
+    if handles:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return run()
+    finally:
+        if handles:
+            signal.signal(signal.SIGINT, _leave)
+
 
 if __name__ == '__main__':
     sys.exit(main())

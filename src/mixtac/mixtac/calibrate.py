@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,8 +33,6 @@ Images = Generator[tuple[str, Any], None, None]
 
 IMAGE_TIMEOUT_S = 20.0
 """Longest time without an image [s]."""
-START_TIMEOUT_S = 60.0
-"""Longest time to the first image of a driver that is started [s]."""
 BAG_PERIOD_NS = 200_000_000
 """Least time between two images of a bag that are searched for the board [ns]."""
 CAMERA_NAME = 'davis346'
@@ -135,28 +135,30 @@ def live_images(topic: str, device: str) -> Images:
         device: Device whose driver is started; empty for none.
 
     Raises:
-        GraphError: A node ended, or no image came.
+        GraphError: A node ended, or no image came; a driver may start as slowly as it needs to.
     """
-    from mixtac.monitor_node import ImageReceiver
+    from mixtac.monitor_node import CommandNode
 
-    namespace = topic.strip('/').rpartition('/')[0]
-    with ProcessGroup() as processes, ImageReceiver(topic) as receiver:
+    newest: deque[Any] = deque(maxlen=1)
+    with ProcessGroup() as processes, CommandNode.opened('calibrate', DEFAULT_NAMESPACE) as node:
+        node.subscribe_topic(IMAGE_RAW, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
         if device:
-            nodes = [node for node in sensor_graph(device) if not node.lifecycle]
-            start_nodes(processes, nodes, namespace)
-        timeout_s = START_TIMEOUT_S if device else IMAGE_TIMEOUT_S
-        last_s = time.monotonic()
+            nodes = [each for each in sensor_graph(device) if not each.lifecycle]
+            start_nodes(processes, nodes, topic.strip('/').rpartition('/')[0])
+        last_s = math.inf if device else time.monotonic()
         while True:
             processes.check()
-            message = receiver.take(0.2)
-            if message is not None:
-                yield labelled(message)
-                last_s, timeout_s = time.monotonic(), IMAGE_TIMEOUT_S
-            elif time.monotonic() - last_s > timeout_s:
+            node.spin_for(0.2, lambda: bool(newest))
+            if newest:
+                yield labelled(newest.pop())
+                last_s = time.monotonic()
+            elif time.monotonic() - last_s > IMAGE_TIMEOUT_S:
                 raise GraphError(
-                    f'no image on {topic} in {timeout_s:.0f} s',
+                    f'no image on {topic} in {IMAGE_TIMEOUT_S:.0f} s',
                     remedy='run `mixtac up`, give --device, or name the --topic',
                 )
+            else:
+                node.get_logger().info('waiting for images', throttle_duration_sec=10.0)
 
 
 def labelled(message: Any) -> tuple[str, Any]:  # noqa: ANN401

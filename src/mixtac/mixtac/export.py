@@ -112,7 +112,9 @@ def import_(
     ] = '',
     size: Annotated[
         str,
-        typer.Option(help='Width x height of the camera in pixels, as 346x260; empty: as its frames.'),
+        typer.Option(
+            help='Width x height of the camera in pixels, as 346x260; empty: as its frames.'
+        ),
     ] = '',
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')

@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import importlib
 import io
+import signal
 import sys
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import Annotated, Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
@@ -24,7 +27,21 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 
-def mixtac() -> None:
+def show_version(asked: bool) -> None:
+    """Print the version and leave, if that is asked for."""
+    if asked:
+        print(f'mixtac {version("mixtac")}')
+        raise typer.Exit
+
+
+def mixtac(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            '--version', is_eager=True, callback=show_version, help='Print the version and leave.'
+        ),
+    ] = False,
+) -> None:
     """Mixtac: event- and frame-based tactile force sensing in ROS 2."""
 
 
@@ -32,43 +49,53 @@ def experiments() -> None:
     """The paper's experiments."""
 
 
-COMMANDS = {
-    '': mixtac,
-    'align': 'mixtac.align:align',
-    'calibrate': 'mixtac.calibrate:calibrate',
-    'calibrate-force': 'mixtac.calibrate_force.command:calibrate_force',
-    'demo': 'mixtac.demo.command:demo',
-    'doctor': 'mixtac.doctor:doctor',
-    'evaluate': 'mixtac_learning.commands:evaluate',
-    'experiments': 'mixtac_learning.experiments:EXPERIMENTS',
-    'export': 'mixtac.export:export',
-    'import': 'mixtac.export:import_',
-    'inspect': 'mixtac.export:inspect',
-    'record': 'mixtac.record.session:record',
-    'repair': 'mixtac.export:repair',
-    'simulate': 'mixtac.simulate:simulate',
-    'train': 'mixtac_learning.commands:train',
-    'up': {'': 'mixtac.up:up', 'slip': 'mixtac.up:slip'},
-    'view': 'mixtac.up:view',
+PANELS: dict[str, dict[str, Any]] = {
+    'Run': {
+        'demo': 'mixtac.demo:demo',
+        'up': {'': 'mixtac.up:up', 'slip': 'mixtac.up:slip'},
+        'view': 'mixtac.up:view',
+        'doctor': 'mixtac.doctor:doctor',
+    },
+    'Record': {
+        'record': 'mixtac.record:record',
+        'inspect': 'mixtac.export:inspect',
+        'export': 'mixtac.export:export',
+        'import': 'mixtac.export:import_',
+        'repair': 'mixtac.export:repair',
+    },
+    'Calibrate': {
+        'calibrate': 'mixtac.calibrate:calibrate',
+        'calibrate-force': 'mixtac.calibrate_force:calibrate_force',
+        'align': 'mixtac.align:align',
+    },
+    'Learn': {
+        'simulate': 'mixtac.simulate:simulate',
+        'train': 'mixtac_learning.commands:train',
+        'evaluate': 'mixtac_learning.commands:evaluate',
+        'experiments': 'mixtac_learning.experiments:EXPERIMENTS',
+    },
 }
-"""Function of each command as `module:name`; a dictionary is a group, with its function at ''.
+"""Commands by the panel of the help that lists them; a new command is one line here.
 
-A name may also be that of such a dictionary: robots have no experiments.
+The function of a command is named as `module:name`. A dictionary is a group, with its function at
+''; the name of such a dictionary is one too: robots have no experiments.
 """
+COMMANDS = {'': mixtac} | {name: each for part in PANELS.values() for name, each in part.items()}
+SHOWN_IN = {name: panel for panel, part in PANELS.items() for name in part}
 
 
 class Commands(TyperGroup):
     """A group whose commands are imported on demand.
 
     Attributes:
-        targets: Its part of `COMMANDS`.
+        targets: Its commands, as in `PANELS`.
     """
 
     targets: ClassVar[Mapping[str, Any]]
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002
-        """Return the names of the commands, sorted."""
-        return sorted(filter(None, self.targets))
+        """Return the names of the commands."""
+        return list(filter(None, self.targets))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
         """Return a command, None for an unknown one."""
@@ -81,19 +108,28 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
 
     Args:
         name: Its name.
-        target: One of the values of `COMMANDS`, or all of it.
+        target: `COMMANDS`, or one of its values.
     """
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    helped = {'help_option_names': ['-h', '--help']}
+    panel = SHOWN_IN.get(name)
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=helped)
     found = load(target) if isinstance(target, str) else target
     if callable(found):
-        app.command(name)(found)
+        app.command(name, rich_help_panel=panel, context_settings=helped)(found)
+        command = get_command(app)
     else:
         cls = type('Group', (Commands,), {'targets': found})
         first = found.get('', experiments)
         works = isinstance(first, str)
-        function = load(first) if works else first
-        app.callback(cls=cls, invoke_without_command=works, no_args_is_help=not works)(function)
-    command = get_command(app)
+        app.callback(
+            cls=cls,
+            invoke_without_command=works,
+            no_args_is_help=not works,
+            rich_help_panel=panel,
+        )(load(first) if works else first)
+        command = get_command(app)
+        # From these names typer chooses what may have been meant.
+        command.commands = dict.fromkeys(filter(None, found))
     command.name = name
     return command
 
@@ -132,33 +168,60 @@ def main(arguments: list[str] | None = None) -> int:
         arguments: Without the program's name; None for those of the process.
 
     Returns:
-        Exit status: 0, 1 after an expected failure (one line on stderr), 2 for wrong usage,
-        130 after Ctrl-C.
+        Exit status: 0; 1 after an expected failure, with one line on stderr, or where what was
+        checked is not in order; 2 for wrong usage; 130 after Ctrl-C.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # Names of files need not be UTF-8.
             stream.reconfigure(errors='backslashreplace')
+    interrupted: list[int] = []
     try:
-        result = root()(arguments, prog_name='mixtac', standalone_mode=False)
-    except MixtacError as error:
-        print(error_line(str(error)), file=sys.stderr)
-        return 1
-    except OSError as error:
-        # A full disk, or a name that is too long.
-        place = f'{error.filename}: ' if error.filename else ''
-        print(error_line(f'{place}{error.strerror or error}'), file=sys.stderr)
-        return 1
+        with noting_interrupt(interrupted):
+            result = root()(arguments, prog_name='mixtac', standalone_mode=False)
     except typer.Exit as leave:
         return leave.exit_code
-    except (typer.Abort, KeyboardInterrupt):
-        print('interrupted', file=sys.stderr)
-        return INTERRUPTED
-    except Exception as error:
-        if not hasattr(error, 'format_message'):
+    except (typer.Abort, KeyboardInterrupt, Exception) as error:
+        expected = isinstance(error, MixtacError | OSError)
+        # A library may have made its own error of an interrupt.
+        if isinstance(error, (typer.Abort, KeyboardInterrupt)) or (interrupted and not expected):
+            print('interrupted', file=sys.stderr)
+            return INTERRUPTED
+        if not expected and not hasattr(error, 'format_message'):
             raise
         # Empty if the help was printed because no command was given.
-        if text := error.format_message():
+        if text := error_text(error):
             print(error_line(text), file=sys.stderr)
-        return 2
+        return 1 if expected else 2
     return result if isinstance(result, int) else 0
+
+
+def error_text(error: Any) -> str:  # noqa: ANN401
+    """Return the text of an expected failure, or of wrong usage."""
+    if isinstance(error, MixtacError):
+        return str(error)
+    if isinstance(error, OSError):
+        # A full disk, or a name that is too long.
+        return f'{error.filename or ""}: {error.strerror or error}'.removeprefix(': ')
+    if possible := getattr(error, 'possibilities', None):
+        return f'{error.message.rstrip(".")}. Did you mean {" or ".join(possible)}?'
+    return str(error.format_message())
+
+
+@contextmanager
+def noting_interrupt(noted: list[int]) -> Iterator[None]:
+    """Raise KeyboardInterrupt on Ctrl-C, and note that in a list."""
+
+    def interrupt(number: int, _frame: object) -> None:
+        noted.append(number)
+        raise KeyboardInterrupt
+
+    handled = signal.getsignal(signal.SIGINT)
+    if handled is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handled)

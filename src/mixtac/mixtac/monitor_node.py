@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of the command line.
 
-`CommandNode` is the one node of a command; a `Receiver` spins it in a thread of its own. `Monitor`
-measures forces, clocks and diagnostics as any user's node would see them; `ImageReceiver` keeps the
-newest image of a topic.
+`CommandNode` is the one node of a command. `Monitor` receives forces and diagnostics in a thread of
+its own, as any user's node would.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Image, TimeReference
+from sensor_msgs.msg import TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_core.node import topics
@@ -87,29 +86,6 @@ class CommandNode(BaseNode, Node):  # type: ignore[misc]
         return executor
 
 
-class Receiver(ExitStack):
-    """A node that receives in a thread of its own, until the end of a `with` block.
-
-    Args:
-        name: Name of the node.
-        namespace: Its namespace.
-    """
-
-    def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
-        super().__init__()
-        self._namespace = namespace
-        self._node = self.enter_context(CommandNode.opened(name, namespace))
-        self._stopping = threading.Event()
-        self.callback(self._stop)
-        spin = partial(self._node.spin_for, math.inf, self._stopping.is_set)
-        self._thread = threading.Thread(target=spin, name=name)
-
-    def _stop(self) -> None:
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-
 class Series:
     """Forces of one topic in the order of their arrival; one thread adds, any thread reads.
 
@@ -132,49 +108,52 @@ class Series:
         place, self.latest_n = self.received, topics.normal_force(message)
         if place < len(self._force_n):
             self._times_ns[:, place] = time.time_ns(), stamp_to_ns(message.header.stamp)
-            self._force_n[place] = *topics.sideways_force(message), self.latest_n
+            self._force_n[place] = self.latest_n, *topics.sideways_force(message)
         self.received = place + 1
 
-    @property
-    def count(self) -> int:
-        """Number of samples kept."""
-        return min(self.received, len(self._force_n))
+    def samples(self, first: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the samples from number `first` on, as views.
 
-    @property
-    def times_ns(self) -> NDArray[np.int64]:
-        """Arrival [ns, host clock] and stamp [ns] of each sample, shape (2, N), a view."""
-        return self._times_ns[:, : self.count]
-
-    @property
-    def force_n(self) -> NDArray[np.float64]:
-        """Force along x, y and normal of each sample [N], shape (N, 3), a view."""
-        return self._force_n[: self.count]
+        Returns:
+            Arrival [ns, host clock] and stamp [ns] of each sample, shape (2, N), and its normal
+            force and force along x and y [N], shape (N, 3).
+        """
+        kept = slice(first, min(self.received, len(self._force_n)))
+        return self._times_ns[:, kept], self._force_n[kept]
 
 
-class Monitor(Receiver):
+class Monitor(ExitStack):
     """Measures what the nodes of a sensor publish, and calls their services.
 
     Args:
         namespace: Namespace of the sensor.
+        processes: The nodes; waiting ends with an error when one has ended.
         seconds: Longest time to keep samples for.
 
     Attributes:
+        processes: As given.
         diagnostics: Latest values by node name and key.
         estimate: Forces of the estimator, stamps on the camera clock.
         measured: Forces of the reference sensor.
         serial: Serial number of the camera, empty before its first clock message.
     """
 
-    def __init__(self, namespace: str, seconds: float) -> None:
-        super().__init__('monitor', namespace)
+    def __init__(self, namespace: str, processes: ProcessGroup, seconds: float = 0.0) -> None:
+        super().__init__()
+        self._namespace, self.processes = namespace, processes
+        self._node = self.enter_context(CommandNode.opened('monitor', namespace))
+        self._stopping = threading.Event()
+        self.callback(self._stop)
+        spin = partial(self._node.spin_for, math.inf, self._stopping.is_set)
+        self._thread = threading.Thread(target=spin, name='monitor')
         size = int(MOST_HZ * seconds) + DEPTH
         self.estimate, self.measured = Series(size), Series(size)
         self.diagnostics: dict[str, dict[str, str]] = {}
         self.serial = ''
         self._clients: dict[str, Any] = {}
 
-    def bring_up_all(self, nodes: Sequence[NodeSpec], processes: ProcessGroup) -> None:
-        """Configure and activate the lifecycle nodes of these processes; before `listen`.
+    def bring_up_all(self, nodes: Sequence[NodeSpec]) -> None:
+        """Configure and activate the lifecycle nodes of the processes; before `listen`.
 
         Waits as long as the processes run: a first start compiles.
 
@@ -184,10 +163,10 @@ class Monitor(Receiver):
         for name in [node.name for node in nodes if node.lifecycle]:
             for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
                 request = ChangeState.Request(transition=Transition(id=transition))
-                reply = self._call(ChangeState, f'{name}/change_state', request, processes.check)
-                if not reply.success:
+                if not self._ask(ChangeState, f'{name}/change_state', request).success:
                     end_s = time.monotonic() + LOG_PATIENCE_S
-                    while not (why := processes.last_error(name)) and time.monotonic() < end_s:
+                    last_error = partial(self.processes.last_error, name)
+                    while not (why := last_error()) and time.monotonic() < end_s:
                         time.sleep(0.05)
                     raise GraphError(f'{name} could not be started: {why or "see its log"}')
 
@@ -200,63 +179,58 @@ class Monitor(Receiver):
         node.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
         self._thread.start()
 
-    def trigger(self, service: str, alive: Callable[[], None]) -> None:
+    def trigger(self, service: str) -> None:
         """Call a Trigger service by its relative name; before `listen` or while listening.
 
         Raises:
             GraphError: It refuses.
         """
-        self._request(Trigger, service, Trigger.Request(), alive)
+        self._call(Trigger, service, Trigger.Request())
 
-    def touch(self, gesture: str, alive: Callable[[], None], **values: float) -> None:
+    def touch(self, gesture: str, **values: float) -> None:
         """Touch the virtual sensor; before `listen` or while listening.
 
         Args:
             gesture: As in `mixtac_msgs/srv/Touch`.
-            alive: Called while waiting; raises when a process has ended.
             **values: Fields of that request; those that are absent have their defaults.
 
         Raises:
             GraphError: The sensor is absent or refuses.
         """
-        request = Touch.Request(gesture=gesture, **values)
-        self._request(Touch, 'virtual_sensor/touch', request, alive)
+        self._call(Touch, 'virtual_sensor/touch', Touch.Request(gesture=gesture, **values))
 
-    def _request(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> None:  # noqa: ANN401
-        reply = self._call(kind, service, request, alive)
-        if not reply.success:
+    def _call(self, kind: Any, service: str, request: Any) -> None:  # noqa: ANN401
+        if not (reply := self._ask(kind, service, request)).success:
             raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 
-    def _call(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> Any:  # noqa: ANN401
+    def _ask(self, kind: Any, service: str, request: Any) -> Any:  # noqa: ANN401
         # One client for all calls: the answer to a new one can get lost while it is discovered.
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
         client = self._clients[service]
-        self.wait(client.service_is_ready, f'the service {service}', alive)
+        self.wait(client.service_is_ready, f'the service {service}')
         future = client.call_async(request)
-        self.wait(future.done, f'the answer of {service}', alive)
+        self.wait(future.done, f'the answer of {service}')
         return future.result()
 
-    def wait_for_force(self, check: Callable[[], None]) -> None:
-        """Wait, while listening, until the estimator publishes.
+    def wait_for_force(self) -> None:
+        """Wait, while listening, until the estimator publishes."""
+        self.wait(lambda: self.estimate.received > 0, 'the first force')
 
-        Args:
-            check: Called while waiting; raises when a process has ended.
-        """
-        self.wait(lambda: self.estimate.received > 0, 'the first force', check)
-
-    def wait(self, done: Callable[[], bool], what: str, alive: Callable[[], None]) -> None:
+    def wait(self, done: Callable[[], bool], what: str) -> None:
         """Wait until `done` returns True. A busy computer is slow, so there is no time limit.
 
         Args:
             done: Called often.
             what: What is waited for; shown every ten seconds with the messages of the nodes.
-            alive: Called often; raises when a process has ended.
+
+        Raises:
+            GraphError: A process has ended.
         """
         began_s = time.monotonic()
         due_s = began_s + REPORT_PERIOD_S
         while not done():
-            alive()
+            self.processes.check()
             if self._thread.is_alive():
                 time.sleep(0.02)
             else:
@@ -271,34 +245,10 @@ class Monitor(Receiver):
         """Return the latest diagnostics of a node of the sensor by key, and its `message`."""
         return self.diagnostics.get(topics.absolute(node, self._namespace).lstrip('/'), {})
 
-    @property
-    def force_count(self) -> int:
-        """Return the number of forces kept."""
-        return self.estimate.count
-
-    def force(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Return arrival [ns, host clock], stamp [ns, camera clock] and force [N], as views."""
-        n = self.estimate.count
-        arrival_ns, stamp_ns = self.estimate.times_ns[:, :n]
-        return arrival_ns, stamp_ns, self.estimate.force_n[:n, 2]
-
-    def sideways(self) -> NDArray[np.float64]:
-        """Return the sideways force of each sample of `force` [N], [T, 2], as a view."""
-        return self.estimate.force_n[:, :2]
-
-    @property
-    def reference_count(self) -> int:
-        """Return the number of reference samples kept."""
-        return self.measured.count
-
-    def reference(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return arrival [ns, host clock] and reference force [N], as views."""
-        n = self.measured.count
-        return self.measured.times_ns[0, :n], self.measured.force_n[:n, 2]
-
-    def reference_sideways(self) -> NDArray[np.float64]:
-        """Return the force along x and y of each sample of `reference` [N], [T, 2], as a view."""
-        return self.measured.force_n[:, :2]
+    def _stop(self) -> None:
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
 
     def _on_clock(self, message: TimeReference) -> None:
         self.serial = message.source
@@ -307,30 +257,3 @@ class Monitor(Receiver):
         for status in message.status:
             values = {each.key: each.value for each in status.values}
             self.diagnostics[status.name] = {'message': status.message, **values}
-
-
-class ImageReceiver(Receiver):
-    """Keeps the newest image of a topic; an image that nobody took is replaced by the next.
-
-    Args:
-        topic: Absolute name of the topic.
-    """
-
-    def __init__(self, topic: str) -> None:
-        super().__init__('calibrate')
-        self._fresh = threading.Condition()
-        self._newest: Image | None = None
-        self._node.subscribe_topic(topics.IMAGE_RAW, self._on_image, name=topic)
-        self._thread.start()
-
-    def take(self, timeout_s: float) -> Image | None:
-        """Return the newest image not yet taken, or None if there is none in time."""
-        with self._fresh:
-            self._fresh.wait_for(lambda: self._newest is not None, timeout_s)
-            image, self._newest = self._newest, None
-            return image
-
-    def _on_image(self, message: Image) -> None:
-        with self._fresh:
-            self._newest = message
-            self._fresh.notify()

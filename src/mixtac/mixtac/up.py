@@ -13,15 +13,16 @@ from __future__ import annotations
 import importlib.util
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
 
+from mixtac.live import sensor_values, show
 from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
-from mixtac.view.page import require_rerun
+from mixtac.view import require_rerun
 from mixtac_core.node.files import writable
 from mixtac_core.node.graph import (
     NodeSpec,
@@ -34,9 +35,7 @@ from mixtac_core.node.graph import (
 )
 from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
-
-if TYPE_CHECKING:
-    from mixtac.monitor_node import Monitor
+from mixtac_core.recordings.camera_stream import open_recording
 
 POLL_S = 0.2
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
@@ -113,16 +112,7 @@ def up(
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
     if context.invoked_subcommand is not None:
         return
-    from mixtac_driver.source import source_kind  # imports numba, which --help need not wait for
-    from mixtac_fger.weights import find_model, read_model
-
-    # What cannot be used is refused before anything starts.
-    source_kind(device)
-    estimator = None
-    if model:
-        path = find_model(model).resolve()
-        read_model(path)
-        estimator = {'model': str(path)}
+    estimator = check_choice(device, model, params_file)
     if importlib.util.find_spec('rclpy') is None:
         show_without_ros(device, model, seconds)
         return
@@ -144,20 +134,50 @@ def up(
         if not autostart:
             run_until(processes, seconds)
             return
-        with Monitor(namespace, seconds=0.0) as monitor:
-            monitor.bring_up_all(nodes, processes)
+        with Monitor(namespace, processes) as monitor:
+            monitor.bring_up_all(nodes)
             monitor.listen()
-            _await_estimate(monitor, processes)
+
+            def estimates() -> bool:
+                # Without a known zero, forces are estimated and not published.
+                rate_hz = float(monitor.values('fger').get('rate_hz', 0.0))
+                return monitor.estimate.received > 0 or rate_hz > 0.0
+
+            monitor.wait(estimates, 'the first force')
             if play:
-                monitor.trigger('virtual_sensor/play', processes.check)
+                monitor.trigger('virtual_sensor/play')
             console = Console(markup=False)
             console.print(
                 f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
             )
             if is_virtual(device) or console.is_terminal:
-                _show(console, monitor, processes, seconds, reference=is_virtual(device))
+                values = sensor_values(monitor, reference=is_virtual(device))
+                show(console, time_left(seconds, processes.check), values)
                 return
         run_until(processes, seconds)
+
+
+def check_choice(device: str, model: str, params_file: Path | None) -> dict[str, object] | None:
+    """Refuse what cannot be used before anything starts; return the estimator's parameters.
+
+    Args:
+        device: Value of `--device`.
+        model: Value of `--model`.
+        params_file: Parameter file; it may choose topics of a recording.
+
+    Raises:
+        MixtacError: Unknown device, no such recording, or no such model.
+    """
+    from mixtac_driver.source import SourceKind, source_kind  # numba: --help need not wait for it
+    from mixtac_fger.weights import find_model, read_model
+
+    if source_kind(device) is SourceKind.RECORDED and params_file is None:
+        open_recording(Path(device)).close()
+    if not model:
+        return None
+    path = find_model(model).resolve()
+    read_model(path)
+    return {'model': str(path)}
 
 
 def show_without_ros(device: str, model: str, seconds: float) -> None:
@@ -174,41 +194,32 @@ def show_without_ros(device: str, model: str, seconds: float) -> None:
     console.print('without ROS: forces are shown and not published; a first start compiles')
     source = {'davis346': USB, VIRTUAL: f'{VIRTUAL}:press'}.get(device, device)
     with Sensor(source, model=model) as sensor:
-        reading, end_s = sensor.read(), time.monotonic() + seconds
-        console.print('press Ctrl-C to stop')
-        while not seconds or time.monotonic() < end_s:
-            bar = '#' * round(20 * max(0.0, reading.force if reading.valid else 0.0))
-            console.print(f'{reading}  {bar}', soft_wrap=True, highlight=False)
-            time.sleep(POLL_S)
+        sensor.read()
+
+        def values() -> dict[str, float | str]:
             reading = sensor.read()
+            return {'force': reading.force, 'reading': str(reading)}
+
+        show(console, time_left(seconds), values)
 
 
-def _await_estimate(monitor: Monitor, processes: ProcessGroup) -> None:
-    """Wait until forces are estimated; without a known zero they are not published."""
+def time_left(seconds: float, check: Callable[[], None] = lambda: None) -> Callable[[], str]:
+    """Return a function whose text says how long a sensor is shown, and is empty at the end.
 
-    def estimates() -> bool:
-        rate_hz = float(monitor.values('fger').get('rate_hz', 0.0))
-        return monitor.estimate.received > 0 or rate_hz > 0.0
-
-    monitor.wait(estimates, 'the first force', processes.check)
-
-
-def _show(
-    console: Console, monitor: Monitor, processes: ProcessGroup, seconds: float, *, reference: bool
-) -> None:
-    """Show the force in the terminal for some seconds [s]; 0 shows it until interrupted."""
-    from mixtac.live_table import LiveTable
-
+    Args:
+        seconds: How long from now on [s]; 0 until interrupted.
+        check: Called each time; raises when a process has ended.
+    """
     end_s = time.monotonic() + seconds
 
     def doing() -> str:
-        processes.check()
+        check()
         left_s = end_s - time.monotonic()
         if not seconds:
             return 'press Ctrl-C to stop'
         return f'{left_s:.0f} s left' if left_s > 0.0 else ''
 
-    LiveTable(console, monitor, reference=reference).show(doing)
+    return doing
 
 
 def slip(
@@ -290,12 +301,11 @@ def slip(
         ]
         start_nodes(processes, nodes)
         try:
-            with Monitor(DEFAULT_NAMESPACE, seconds=0.0) as monitor:
+            with Monitor(DEFAULT_NAMESPACE, processes) as monitor:
                 monitor.listen()
                 monitor.wait(
                     lambda: monitor.values('slip_control').get('state') == 'enabled',
                     'slip control to be enabled',
-                    processes.check,
                 )
             run_until(processes, seconds)
         finally:

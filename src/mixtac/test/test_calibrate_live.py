@@ -22,7 +22,7 @@ from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
-from mixtac import calibrate, monitor_node  # noqa: E402
+from mixtac import calibrate  # noqa: E402
 from mixtac_core.node.base_node import QOS_SENSOR  # noqa: E402
 from mixtac_core.node.process import GraphError  # noqa: E402
 from mixtac_driver import calibration as view_selection  # noqa: E402
@@ -96,22 +96,12 @@ def test_without_images_the_topic_is_named(monkeypatch):
 
 
 def test_ctrl_c_ends_collecting_and_calibrates(tmp_path, frames, monkeypatch):
-    class Interrupted:
-        def __init__(self, topic) -> None:
-            self._messages = iter(map(image_message, frames))
+    def interrupted(_topic, _device):
+        for image in frames:
+            yield calibrate.labelled(image_message(image))
+        raise KeyboardInterrupt
 
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_) -> None:
-            pass
-
-        def take(self, timeout_s):
-            for message in self._messages:
-                return message
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(monitor_node, 'ImageReceiver', Interrupted)
+    monkeypatch.setattr(calibrate, 'live_images', interrupted)
     result = tmp_path / 'result.json'
     monkeypatch.setattr(view_selection, 'WANTED_VIEWS', 1000)
     calibrate.calibrate(out=tmp_path / 'camera.yaml', json=result)

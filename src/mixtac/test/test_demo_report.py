@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mixtac.demo.report import Run, Streams, compare, latency_ms, lost_windows, read_streams
+from mixtac.demo import Streams, compare, latency_ms, lost_windows, read_streams
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node import topics
@@ -27,7 +28,7 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
     with McapBag(tmp_path / 'bag') as bag:
         writer = StreamWriter(bag, (346, 260))
         for topic in (topics.FORCE, topics.FORCE_QUALITY, topics.REFERENCE_WRENCH):
-            writer.put(topic, 0, blank_message(topic.type_name))
+            writer.put(topic, 7, blank_message(topic.type_name))
         for index, number in enumerate(numbers):
             t = np.array([1000 * index], np.int64)
             pixel = np.zeros(1, np.uint16)
@@ -40,6 +41,7 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
     streams = read_streams(tmp_path / 'bag', 'mixtac')
     assert len(streams.arrival_ns) == len(streams.complete_us) == len(numbers)
     assert streams.lost_packets == lost
+    assert streams.force_arrival_ns.tolist() == [7]
 
 
 def streams_of(force_n, reference_n, complete_us=(), arrival_ns=()) -> Streams:
@@ -52,6 +54,7 @@ def streams_of(force_n, reference_n, complete_us=(), arrival_ns=()) -> Streams:
         arrival_ns=np.array(arrival_ns, np.int64),
         invalid=0,
         force_ns=2_000_000 * np.arange(1, len(force_n) + 1),
+        force_arrival_ns=nothing,
         force_n=np.asarray(force_n),
         reference_ns=1_000_000 * np.arange(len(reference_n)),
         reference_n=np.asarray(reference_n),
@@ -59,15 +62,16 @@ def streams_of(force_n, reference_n, complete_us=(), arrival_ns=()) -> Streams:
 
 
 def test_the_latency_begins_with_the_packet_that_completes_the_window():
-    streams = streams_of([], [], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90])
-    times = np.array([1_500_000, 2_000_000, 9_000_000])
-    run = Run(0, 0.0, 0.0, arrival_ns=np.array([70, 80, 100]), stamp_ns=times)
-    assert latency_ms(streams, run) == pytest.approx([1e-5, 2e-5, 1e-5])
+    streams = replace(
+        streams_of([], [], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90]),
+        force_ns=np.array([1_500_000, 2_000_000, 9_000_000]),
+        force_arrival_ns=np.array([70, 80, 100]),
+    )
+    assert latency_ms(streams) == pytest.approx([1e-5, 2e-5, 1e-5])
 
 
 def test_missing_windows_are_counted():
     assert lost_windows(np.array([0, 2, 4, 10]) * 1_000_000) == 2
-    assert lost_windows(np.empty(0, np.int64)) == 0
 
 
 def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
@@ -82,8 +86,6 @@ def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
     fit = SimpleNamespace(
         anchors=taps,
         to_camera=lambda s: np.rint(1e6 * s).astype(np.int64),
-        drift_ppm=0.0,
-        method='two_impulse',
     )
     comparison = compare(streams, fit, (1.5, 4.5))
     assert comparison.zeros_n == pytest.approx((0.033, 0.107))

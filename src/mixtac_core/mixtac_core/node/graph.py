@@ -154,7 +154,7 @@ def sensor_graph(
         own |= virtual_sensor or {}
         nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:
-        nodes.append(node('mixtac.view', 'view', overrides=follow))
+        nodes.append(node('mixtac', 'view', overrides=follow))
     if align:
         nodes += [
             node('mixtac_fger.alignment', 'alignment', overrides={**reference, **follow}),
@@ -206,7 +206,7 @@ def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] =
         overrides['exclude'] = ' '.join(each.name for each in exclude)
     if reference_topic:
         overrides['reference_topic'] = reference_topic
-    return node('mixtac.record', 'recorder', overrides=overrides)
+    return node('mixtac', 'recorder', overrides=overrides)
 
 
 def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
@@ -220,4 +220,4 @@ def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
     overrides: dict[str, object] = {} if port is None else {'port': port}
     if save is not None:
         overrides['save'] = str(save)
-    return node('mixtac.view', 'view', overrides=overrides)
+    return node('mixtac', 'view', overrides=overrides)

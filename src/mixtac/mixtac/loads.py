@@ -13,16 +13,13 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mixtac.monitor_node import Monitor
-from mixtac.up import start_nodes
-from mixtac_core.node.graph import is_virtual, sensor_graph
-from mixtac_core.node.process import GraphError, ProcessGroup
+from mixtac_core.node.process import GraphError
 from mixtac_core.recordings.recording import Recording
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.force_calibration import (
@@ -43,6 +40,9 @@ from mixtac_fger.force_calibration import (
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import Model
+
+if TYPE_CHECKING:
+    from mixtac.monitor_node import Monitor
 
 F64 = NDArray[np.float64]
 T = TypeVar('T')
@@ -75,7 +75,12 @@ class Session:
     doubts: list[str] = field(default_factory=list)
 
     def measure(self, t_s: F64, reference_n: F64) -> None:
-        """Take the loads from a reference sensor: times [s] and forces [N] [T, 3], normal first."""
+        """Measure the loads by a reference sensor.
+
+        Args:
+            t_s: Times on the clock of the plateaus [s].
+            reference_n: Its normal force and its forces along x and y [N], [T, 3].
+        """
         self.known_by = 'reference'
         self.loads = reference_loads(t_s, reference_n[:, :1], self.plateaus)
         self.pull_loads = reference_loads(t_s, reference_n[:, 1:], self.pulls)
@@ -197,48 +202,8 @@ PATIENCE_S: Final = 60.0
 """Longest time for each step [s, sensor time]."""
 SILENCE_S: Final = 60.0
 """Time without a force after which the sensor counts as dead [s]."""
-SESSION_S: Final = 1200.0
-"""Longest procedure [s]."""
 POLL_S: Final = 0.1
 """Time between two looks at the forces [s]."""
-
-
-def run_live(
-    console: Console,
-    namespace: str,
-    device: str,
-    model: Path,
-    params_file: Path | None,
-    *procedure: Any,  # noqa: ANN401
-) -> Session:
-    """Start a sensor, lead through the loads, stop the sensor.
-
-    Args:
-        console: Where to prompt.
-        namespace: ROS namespace of the sensor.
-        device: As for `mixtac up`.
-        model: Weight file of the estimator.
-        params_file: Parameter file of the nodes.
-        procedure: Arguments of `LiveProcedure.lead`.
-
-    Raises:
-        ForceCalibrationError: The sensor cannot be calibrated by what was seen.
-        GraphError: A node failed.
-    """
-    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
-    # forces that are not valid count, as in a recording: loads reveal wrong ones.
-    estimator: dict[str, Any] = {'model': str(model.resolve()), 'assume_free': True}
-    estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
-    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
-    nodes = sensor_graph(device, estimator=estimator)
-    console.print('starting the sensor; a first start compiles for some minutes')
-    with ProcessGroup() as processes, Monitor(namespace, SESSION_S) as monitor:
-        start_nodes(processes, nodes, namespace, params_file, 'warn')
-        monitor.bring_up_all(nodes, processes)
-        monitor.listen()
-        monitor.wait_for_force(processes.check)
-        live = LiveProcedure(console, processes, monitor, virtual=is_virtual(device))
-        return live.lead(*procedure)
 
 
 class LiveProcedure:
@@ -246,26 +211,24 @@ class LiveProcedure:
 
     Args:
         console: Where to prompt.
-        processes: The nodes of the sensor.
-        monitor: Listens to it.
-        virtual: It is a virtual sensor.
+        monitor: Listens to the sensor.
+        yes: Do not wait for the Enter key.
+        drives: The sensor is a virtual one, which this operates.
     """
 
     def __init__(
-        self, console: Console, processes: ProcessGroup, monitor: Monitor, *, virtual: bool
+        self, console: Console, monitor: Monitor, *, yes: bool = True, drives: bool = False
     ) -> None:
-        self._console, self._check, self._monitor = console, processes.check, monitor
-        self._virtual = virtual
-        self._drives = False
+        self._console, self._monitor, self._yes, self._drives = console, monitor, yes, drives
         self._begin = 0
 
     def lead(
         self,
         loads: Sequence[Load],
         pulls: Sequence[Load] = (),
+        *,
         known: bool = True,
         scale: bool = False,
-        yes: bool = True,
     ) -> Session:
         """Prompt for one load after the other, and return their plateaus.
 
@@ -274,70 +237,59 @@ class LiveProcedure:
             pulls: Pulls aside to ask for afterwards, under the largest of the loads.
             known: Use these loads even where a reference sensor measures them.
             scale: A kitchen scale shows the load.
-            yes: Do not wait for the Enter key; operate the virtual sensor.
 
         Raises:
             ForceCalibrationError: The sensor cannot be calibrated by what was seen.
             GraphError: A node failed.
         """
-        self._drives = yes and self._virtual
         session = Session(loads=loads, pull_loads=pulls)
-        rest = self._tare(yes=yes)
+        rest = self._tare()
         how = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
         for load in loads:
-            prompt, settings = how.format(load.grams), {'force': load.force_n}
-            under = self._under(load, rest, PRESS, prompt, 'press', settings)
-            self._console.print('Take it off, and do not touch the sensor.')
-            self._operate('release')
+            self._ask(how.format(load.grams), 'press', force=load.force_n)
+            under = self._under(load, rest, PRESS)
+            self._ask('Take it off', 'release')
             rest = self._off(session.plateaus, under, rest, PRESS)
         if pulls:
             press = max(loads, key=lambda load: load.force_n)
             # A contact that a pull holds at nothing is free to move aside.
-            pull = {'force': press.force_n, 'pull_direction': 0.0, 'pull': 0.0}
-            self._under(press, rest, PRESS, how.format(press.grams), 'pull', pull)
+            pull = {'force': press.force_n, 'pull_direction': 0.0}
+            self._ask(how.format(press.grams), 'pull', **pull, pull=0.0)
+            self._under(press, rest, PRESS)
             aside = self._wait('rest', PULL, lambda stretch: stretch)
             for load in pulls:
-                prompt, settings = (
-                    f'Pull it aside with {load.grams:g} g',
-                    {'pull': load.force_n},
-                )
-                under = self._under(load, aside, PULL, prompt, 'pull', pull | settings)
-                self._console.print('Take the mass off its thread; leave what presses on the gel.')
-                self._operate('pull', pull)
+                self._ask(f'Pull it aside with {load.grams:g} g', 'pull', **pull, pull=load.force_n)
+                under = self._under(load, aside, PULL)
+                self._ask('Take only the mass off its thread', 'pull', **pull, pull=0.0)
                 aside = self._off(session.pulls, under, aside, PULL)
-            self._console.print('Take everything off.')
-            self._operate('release')
+            self._ask('Take everything off', 'release')
         session.t_s, session.force_n = self._series(PRESS)
         session.serial = self._monitor.serial
-        if not known and self._monitor.reference_count > 0:
+        if not known and self._monitor.measured.received > 0:
             session.measure(*self._reference())
         return session
 
-    def _tare(self, *, yes: bool) -> Stretch:
+    def _tare(self) -> Stretch:
         self._console.print('Take everything off the gel and leave the sensor alone.')
-        if not yes:
+        if not self._yes:
             try:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
                 raise GraphError('there is no Enter key here', remedy='give --yes') from error
         self._wait('still and free', PRESS, _still)
-        self._monitor.trigger('fger/tare', self._check)
+        self._monitor.trigger('fger/tare')
         # The estimate starts over: earlier forces belong to another zero.
-        self._begin = self._monitor.force_count
+        self._begin = self._count()
         return self._wait('zero', PRESS, _still)
 
-    def _under(
-        self,
-        load: Load,
-        rest: Stretch,
-        kind: Kind,
-        prompt: str,
-        gesture: str,
-        settings: dict[str, float],
-    ) -> Plateau:
-        """Ask for a load and return its plateau, measured from the rest before."""
+    def _ask(self, prompt: str, gesture: str, **settings: float) -> None:
+        """Ask for a load, or let the virtual sensor make the gesture where it is operated."""
         self._console.print(f'{prompt}, and keep still.')
-        self._operate(gesture, settings)
+        if self._drives:
+            self._monitor.touch(gesture, hold=0.0, **settings)
+
+    def _under(self, load: Load, rest: Stretch, kind: Kind) -> Plateau:
+        """Return the plateau of a load, measured from the rest before."""
 
         def plateau(stretch: Stretch) -> Plateau | None:
             found = plateau_of(stretch, rest, None, kind)
@@ -353,11 +305,6 @@ class LiveProcedure:
         plateaus.append(full)
         return full.rests[-1]
 
-    def _operate(self, gesture: str, settings: dict[str, float] | None = None) -> None:
-        """Let the virtual sensor make a gesture, where it is operated."""
-        if self._drives:
-            self._monitor.touch(gesture, self._check, hold=0.0, **(settings or {}))
-
     def _wait(self, what: str, kind: Kind, find: Callable[[Stretch], T | None]) -> T:
         """Wait until `find` accepts a steady stretch from now on, and show the force meanwhile.
 
@@ -365,16 +312,16 @@ class LiveProcedure:
             ForceCalibrationError: None was accepted in time.
             GraphError: No force arrives for `SILENCE_S`.
         """
-        first = seen = self._monitor.force_count
-        heard = time.monotonic()
+        first = seen = self._count()
+        heard_s = time.monotonic()
         with self._console.status(what) as status:
             while True:
                 time.sleep(POLL_S)
-                self._check()
-                count = self._monitor.force_count
+                self._monitor.processes.check()
+                count = self._count()
                 if count > seen:
-                    heard, seen = time.monotonic(), count
-                elif time.monotonic() - heard > SILENCE_S:
+                    heard_s, seen = time.monotonic(), count
+                elif time.monotonic() - heard_s > SILENCE_S:
                     raise GraphError(f'no force for {SILENCE_S:.0f} s while waiting for {what}')
                 if seen - first < 2:
                     continue
@@ -392,22 +339,24 @@ class LiveProcedure:
                 if left_s < 0.0:
                     raise refused or unsteady(t_s, series, (), kind)
 
+    def _count(self) -> int:
+        return len(self._monitor.estimate.samples()[1])
+
     def _series(self, kind: Kind) -> tuple[F64, NDArray[Any]]:
         """Return times [s, sensor time] and forces [N] since the sensor was tared."""
-        _, stamps, force = self._monitor.force()
-        series: NDArray[Any] = force
-        if kind is PULL:
-            series = self._monitor.sideways()[: len(force)] @ np.array([1.0, 1.0j])
-        return 1e-9 * (stamps[self._begin :] - stamps[0]), series[self._begin :]
+        (_, stamps_ns), force_n = self._monitor.estimate.samples()
+        series = force_n[:, 0] if kind is PRESS else force_n[:, 1] + 1j * force_n[:, 2]
+        return 1e-9 * (stamps_ns[self._begin :] - stamps_ns[0]), series[self._begin :]
 
     def _reference(self) -> tuple[F64, F64]:
         """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
-        arrival, stamps, _ = self._monitor.force()
-        times, normal = self._monitor.reference()
+        (arrival_ns, stamps_ns), _ = self._monitor.estimate.samples()
+        (times_ns, _), force_n = self._monitor.measured.samples()
         # What arrived together belongs together.
-        t_s = 1e-9 * np.interp(times - arrival[0], arrival - arrival[0], stamps - stamps[0])
-        across = self._monitor.reference_sideways()[: len(times)]
-        return t_s, np.column_stack([normal, across])
+        at_ns = np.interp(
+            times_ns - arrival_ns[0], arrival_ns - arrival_ns[0], stamps_ns - stamps_ns[0]
+        )
+        return 1e-9 * at_ns, force_n
 
 
 def _still(stretch: Stretch) -> Stretch | None:

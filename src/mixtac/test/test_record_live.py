@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac.record.session import free_bytes
+from mixtac.record import free_bytes
 from mixtac_core.recordings.bag import BagFile
 
 pytestmark = pytest.mark.dds
@@ -31,7 +31,7 @@ def test_without_a_sensor_nothing_is_recorded(ros_domain, tmp_path):
 FAILING = """
 import sys
 from pathlib import Path
-from mixtac.record.recorder_node import Listener
+from mixtac.recorder_node import Listener
 with Listener.opened('record', 'mixtac') as listener:
     listener.listen('/ft_sensor/wrench')
     listener.start(Path(sys.argv[1]))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.dds
-RECORDER = 'mixtac.record.recorder_node'
+RECORDER = 'mixtac.recorder_node'
 PACKETS = 1500
 START_US = 1_790_000_000_000_000
 

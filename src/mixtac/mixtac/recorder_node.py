@@ -18,9 +18,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import Connection
 
+from mixtac.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac.monitor_node import CommandNode
 from mixtac.parameters import RecorderParameters
-from mixtac.record.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.base_node import declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status

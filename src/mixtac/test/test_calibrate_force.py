@@ -19,9 +19,9 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from rich.console import Console
 from typer.testing import CliRunner
 
-from mixtac.calibrate_force import command, session
-from mixtac.calibrate_force.command import calibrate_force, parse_loads
-from mixtac.calibrate_force.session import estimated
+from mixtac import loads as known_loads
+from mixtac.calibrate_force import calibrate_force, parse_loads
+from mixtac.loads import LiveProcedure, estimated
 from mixtac_core.events.arrays import Events
 from mixtac_core.recordings import camera_stream
 from mixtac_core.recordings.dataset import TrialSpec
@@ -72,7 +72,7 @@ def bag(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(profiles.PROFILES, 'weights', weights)
         write_trial(spec, folder)
-        patch.setattr(session, 'estimated', once)
+        patch.setattr(known_loads, 'estimated', once)
         yield folder / spec.name
 
 
@@ -97,7 +97,9 @@ def pulled(tmp_path, monkeypatch):
     forces = GRAVITY * held(*levels) / [1.25, 2.0, 2.0]
     forces += np.random.default_rng(1).normal(0.0, 0.003, forces.shape)
     monkeypatch.setattr(
-        session, 'estimated', lambda *_: (2000 * np.arange(len(forces), dtype=np.int64), forces, [])
+        known_loads,
+        'estimated',
+        lambda *_: (2000 * np.arange(len(forces), dtype=np.int64), forces, []),
     )
     monkeypatch.setattr(camera_stream, 'open_recording', lambda _: io.BytesIO())
     path = tmp_path / 'recording.aedat4'
@@ -260,8 +262,7 @@ def test_what_cannot_be_written_or_checked_is_refused_first(bag, tmp_path):
         assert isinstance(calibrate(*words).exception, ModelError)
 
 
-def test_too_few_loads_are_refused_before_anything_starts(tmp_path, monkeypatch):
-    monkeypatch.setattr(command, 'run_live', None)
+def test_too_few_loads_are_refused_before_anything_starts(tmp_path):
     for loads in ('100', '100,105'):
         result = calibrate('--loads', loads, '--out', tmp_path / 'm.safetensors')
         assert isinstance(result.exception, ForceCalibrationError)
@@ -303,66 +304,49 @@ class Operated:
     """
 
     def __init__(self):
-        self.load, self.asked = (0.0, 0.0, 0.0), {}
+        self.load = (0.0, 0.0, 0.0)
         self.rows = [(0, 0.0, 0.0, 0.0)]
         self.serial, self.random = 'virtual', np.random.default_rng(1)
+        self.processes = SimpleNamespace(check=lambda: None)
+        self.estimate = SimpleNamespace(samples=self.estimates)
+        self.measured = SimpleNamespace(received=1, samples=self.references)
 
-    def check(self):
-        """Nothing fails."""
-
-    def touch(self, gesture, _check, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
+    def touch(self, gesture, *, hold, force=0.0, pull=0.0, pull_direction=0.0):
         assert (hold, pull_direction) == (0.0, 0.0)
         self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
 
-    def trigger(self, service, _check):
+    def trigger(self, service):
         """Nothing changes at a tare."""
 
-    @property
-    def force_count(self):
-        target = np.array(self.load) * (0.8, 0.5, 0.5)
-        for _ in range(100):
-            self.rows.append((len(self.rows) * 2_000_000, *target))
-        return len(self.rows)
-
-    reference_count = property(lambda self: len(self.rows))
-
-    def _table(self):
+    def table(self):
         rows = np.array(self.rows)
-        return rows[:, 0].astype(np.int64), rows[:, 1:] + self.random.normal(
-            0, 1e-3, (len(rows), 3)
-        )
+        stamps = rows[:, 0].astype(np.int64)
+        noise = self.random.normal(0, 1e-3, (len(rows), 3))
+        return np.array([stamps + 5_000_000, stamps]), rows[:, 1:] + noise
 
-    def force(self):
-        stamps, forces = self._table()
-        return stamps + 5_000_000, stamps, forces[:, 0]
+    def estimates(self):
+        for _ in range(50):
+            loads = np.array(self.load) * (0.8, 0.5, 0.5)
+            self.rows.append((len(self.rows) * 2_000_000, *loads))
+        return self.table()
 
-    def sideways(self):
-        return self._table()[1][:, 1:]
-
-    def reference(self):
-        stamps, forces = self._table()
-        return stamps + 5_000_000, forces[:, 0] / 0.8 + 0.1
-
-    def reference_sideways(self):
-        return self._table()[1][:, 1:] / 0.5
+    def references(self):
+        times, forces = self.table()
+        return times, forces / (0.8, 0.5, 0.5) + (0.1, 0.0, 0.0)
 
 
 @pytest.mark.parametrize('known', [True, False])
 def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, known):
-    monkeypatch.setattr(session, 'POLL_S', 0.0)
-    operated, loads = Operated(), parse_loads('20,50,100', 1.0)
-    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
-    found = live.lead(loads, parse_loads('20,20', 1.0), known)
+    monkeypatch.setattr(known_loads, 'POLL_S', 0.0)
+    live = LiveProcedure(Console(quiet=True), Operated(), drives=True)
+    found = live.lead(parse_loads('20,50,100', 1.0), parse_loads('20,20', 1.0), known=known)
     assert found.known_by == ('weights' if known else 'reference')
     assert fit_gain(found.loads, found.plateaus).gain == pytest.approx(1.25, rel=0.02)
     assert fit_gain(found.pull_loads, found.pulls, PULL).gain == pytest.approx(2.0, rel=0.03)
 
 
 def test_a_load_that_never_arrives_is_refused(monkeypatch):
-    monkeypatch.setattr(session, 'POLL_S', 0.0)
-    operated = Operated()
-    operated.touch = lambda *_, **__: None
-    live = session.LiveProcedure(Console(quiet=True), operated, operated, virtual=True)
+    monkeypatch.setattr(known_loads, 'POLL_S', 0.0)
     with pytest.raises(ForceCalibrationError) as caught:
-        live.lead(parse_loads('20,50', 1.0))
+        LiveProcedure(Console(quiet=True), Operated()).lead(parse_loads('20,50', 1.0))
     assert caught.value.reason == 'contact'

@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from mixtac.record.meter import RecordingSummary, TopicMeter
+from mixtac.meter import RecordingSummary, TopicMeter
 from mixtac_core.node.topics import EVENTS, FORCE, IMAGE_RAW, TOPICS
 
 

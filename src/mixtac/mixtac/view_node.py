@@ -12,8 +12,7 @@ from pathlib import Path
 from rclpy.node import Node
 
 from mixtac.parameters import ViewParameters
-from mixtac.view.drawing import Drawing, Received
-from mixtac.view.page import Page, ViewError, ViewerServer, require_rerun
+from mixtac.view import Drawing, Page, Received, ViewError, ViewerServer, require_rerun
 from mixtac_core.events.codec import warm_up
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, declare, run
@@ -31,11 +30,11 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self._failure: Exception | None = None
         self._stopping = threading.Event()
         self._received = Received()
-        self._page = self._open_page()
+        page = self._open_page()
         self._diagnostics = DiagnosticsPublisher(self, 'view', self._status)
         with self._diagnostics.compiling('the packet codec'):
             warm_up()
-        self._drawing = Drawing(self._received, self._page)
+        self._drawing = Drawing(self._received, page)
         self._subscribe()
         self._thread = threading.Thread(target=self._draw, name='view')
         self._thread.start()
@@ -51,7 +50,7 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         """Stop drawing, then the server."""
         self._stopping.set()
         self._thread.join()
-        self._page.close()
+        self._drawing.close(time.time_ns())
         if self._server is not None:
             self._server.close()
 

@@ -13,11 +13,14 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from mixtac.calibrate_force.session import Session, from_bag, run_live
 from mixtac.figures import FORCE, make_table, new_axes, save_figure
 from mixtac.figures import REFERENCE as KNOWN
+from mixtac.loads import LiveProcedure, Session, from_bag
 from mixtac.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
+from mixtac.up import start_nodes
 from mixtac_core.node.files import write_json
+from mixtac_core.node.graph import is_virtual, sensor_graph
+from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CALIBRATED_KEY, SERIAL_KEY
@@ -55,6 +58,8 @@ LOAD_SD_G = 1.0
 """Standard uncertainty of a household weight [g]."""
 SCALE_SD_G = 2.0
 """Standard uncertainty of a hand on a kitchen scale [g]."""
+SESSION_S = 1200.0
+"""Longest procedure [s]."""
 
 
 def calibrate_force(
@@ -119,10 +124,8 @@ def calibrate_force(
     if bag is not None:
         session = from_bag(bag, content, known, '' if loads else reference, pulls)
     else:
-        session = run_live(
-            *(console, namespace, device, start, params_file),
-            *(known, pulls, bool(loads), scale, yes),
-        )
+        procedure = {'loads': known, 'pulls': pulls, 'known': bool(loads), 'scale': scale}
+        session = lead_live(console, namespace, device, start, params_file, yes=yes, **procedure)
     if scale and session.known_by == 'weights':
         session.known_by = 'scale'
     for doubt in session.doubts:
@@ -168,6 +171,49 @@ def calibrate_force(
     if figure is not None:
         draw(figure, session, normal, entry)
         console.print(f'drawn: {figure}')
+
+
+def lead_live(
+    console: Console,
+    namespace: str,
+    device: str,
+    model: Path,
+    params_file: Path | None,
+    *,
+    yes: bool,
+    **procedure: Any,  # noqa: ANN401
+) -> Session:
+    """Start a sensor, lead through the loads, stop the sensor.
+
+    Args:
+        console: Where to prompt.
+        namespace: ROS namespace of the sensor.
+        device: As for `mixtac up`.
+        model: Weight file of the estimator.
+        params_file: Parameter file of the nodes.
+        yes: Do not wait for the Enter key; operate the virtual sensor.
+        procedure: Arguments of `LiveProcedure.lead`.
+
+    Raises:
+        ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+        GraphError: A node failed.
+    """
+    from mixtac.monitor_node import Monitor
+
+    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
+    # forces that are not valid count, as in a recording: loads reveal wrong ones.
+    estimator: dict[str, object] = {'model': str(model.resolve()), 'assume_free': True}
+    estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
+    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
+    nodes = sensor_graph(device, estimator=estimator)
+    console.print('starting the sensor; a first start compiles for some minutes')
+    with ProcessGroup() as processes, Monitor(namespace, processes, SESSION_S) as monitor:
+        start_nodes(processes, nodes, namespace, params_file, 'warn')
+        monitor.bring_up_all(nodes)
+        monitor.listen()
+        monitor.wait_for_force()
+        drives = yes and is_virtual(device)
+        return LiveProcedure(console, monitor, yes=yes, drives=drives).lead(**procedure)
 
 
 def parse_loads(text: str, sd_grams: float) -> list[Load]:

@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mixtac.meter import RecordingSummary
 from mixtac.options import JsonFile, Namespace, Split, check_topic
-from mixtac.record.meter import RecordingSummary
-from mixtac.record.recorder_node import Listener
+from mixtac.recorder_node import Listener
 from mixtac_core.node.files import write_json
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
 from mixtac_core.recordings.bag import check_new

@@ -1,24 +1,35 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a demo: computed from its bag and from what was measured live, drawn, and printed."""
+"""`mixtac demo`: the whole path from the virtual camera to the force, shown live and measured."""
 
 from __future__ import annotations
 
+import datetime as dt
+import os
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_figure, save_figure
+from mixtac.live import sensor_values, show
+from mixtac.options import JsonFile, OptionalPath
+from mixtac.up import start_nodes
 from mixtac_core.events.codec import decode_message
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.events.windows import counts_per_window
 from mixtac_core.node import topics
+from mixtac_core.node.files import FileError, write_json
+from mixtac_core.node.graph import recorder, sensor_graph
+from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.topics import DEFAULT_NAMESPACE
 from mixtac_core.recordings.bag import BagFile
 from mixtac_fger.alignment.align import align
 from mixtac_fger.alignment.bags import read_recording
@@ -31,6 +42,12 @@ from mixtac_sim.world.segments import Segment
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+PRESET: Final = 'paper_like'
+"""Difficulty for which the shipped model was trained."""
+LEAD_S: Final = 8.0
+"""Delay of the scenario after time goes on again [s]."""
+TAIL_S: Final = 1.0
+"""Time in which what was simulated last reaches the recorder [s]."""
 BAG: Final = 'bag'
 WINDOW_NS: Final = 2_000_000
 """Time between two forces [ns]."""
@@ -48,37 +65,140 @@ TREMOR_N: Final = 0.05
 """Amplitude above which a press counts as an oscillation [N]."""
 HELD_PART: Final = 0.8
 """Part of the largest force of the press above which it is held; this calibrates."""
-PRESS, OSCILLATION, IMPACT = 'press and hold', 'oscillation', 'impact of a dropped weight'
-SHOWN_S: Final = {PRESS: 60.0, OSCILLATION: 3.0, IMPACT: 0.8}
+PRESS: Final = 'press and hold'
+SHOWN_S: Final = {PRESS: 60.0, 'oscillation': 3.0, 'impact of a dropped weight': 0.8}
 """Longest time of each part that the figure enlarges [s]."""
-
-ALIGNED: Final = (
-    *('mae_n', 'rmse_n', 'mae_uncalibrated_n', 'constant_mae_n', 'gain', 'reference_zero_n'),
-    *('clock_drift_ppm', 'aligned_by'),
-)
-"""Figures that are None where the alignment was refused."""
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 Spans = dict[str, tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Run:
-    """What was measured while the graph ran.
+def demo(
+    seconds: Annotated[
+        float, typer.Option(min=12, max=3600, help='Length of the scenario (s).')
+    ] = 30,
+    seed: Annotated[
+        int, typer.Option(min=0, help='Random seed for forces, contact point, noise and clocks.')
+    ] = 1001,
+    device_seed: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=9_999_999,
+            help='Random seed that selects the virtual sensor (beads, gel, lamp, pixels).',
+        ),
+    ] = 1001,
+    model: Annotated[
+        OptionalPath, typer.Option(help='Weight file to use instead of the shipped one.')
+    ] = None,
+    json: JsonFile = None,
+    out: Annotated[
+        OptionalPath, typer.Option(help='New folder for the bag, the figure and the logs.')
+    ] = None,
+) -> None:
+    """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
+    console = Console(markup=False)
+    folder = out or Path('demo_out') / f'{dt.datetime.now().astimezone():%Y%m%d-%H%M%S}'
+    # Apart from other ROS graphs on this machine.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    domain = os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    console.print(f'ROS_DOMAIN_ID={domain} (for tools in another terminal)')
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise FileError(
+            f'cannot create folder {folder}: {error.strerror}', remedy='name a new folder in --out'
+        ) from error
+    with ProcessGroup(folder / 'log') as processes:
+        live = _run_graph(console, processes, folder / BAG, seconds, seed, device_seed, model)
+        codes = {**processes.stop('recorder'), **processes.stop()}
+    console.print('aligning and comparing')
+    settings = {'seconds': seconds, 'seed': seed, 'device_seed': device_seed}
+    report = settings | live | evaluate(folder, seconds, seed)
+    for path in (folder / 'demo.json', json):
+        write_json(path, report)
+    print_summary(console, report, folder)
+    if failed := {name: code for name, code in codes.items() if code}:
+        raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')
 
-    Attributes:
-        dropped: Transfers, words, frames and messages that nodes dropped.
-        computed_s: Time for which simulated time stopped to compute the scenario [s].
-        waited_s: Time for which it stopped later [s].
-        arrival_ns: Arrival of each force, host clock [ns], int64.
-        stamp_ns: Stamp of each force, camera clock [ns], int64.
+
+def _run_graph(
+    console: Console,
+    processes: ProcessGroup,
+    bag: Path,
+    seconds: float,
+    seed: int,
+    device_seed: int,
+    model: Path | None,
+) -> dict[str, Any]:
+    """Record the scenario while it is shown, and return what only the running nodes report.
+
+    `dropped` counts the transfers, words, frames and messages that nodes dropped; `waited_s` is the
+    time for which simulated time stopped during the scenario, because the host was too slow [s].
     """
+    from mixtac.monitor_node import Monitor
 
-    dropped: int
-    computed_s: float
-    waited_s: float
-    arrival_ns: I64
-    stamp_ns: I64
+    virtual_sensor = {
+        'seed': seed,
+        'device_seed': device_seed,
+        'preset': PRESET,
+        'scenario': 'demo',
+        'seconds': float(seconds),
+        'play_on_start': False,
+        'loop': False,
+        'lead_seconds': LEAD_S,
+    }
+    # An impact saturates the sensor for an instant, and its peak is to be seen.
+    estimator = {'invalid_force': 'publish'}
+    if model is not None:
+        estimator['model'] = str(model.resolve())
+    # Less work for a slow host: packets as long as a window, and no inertial samples.
+    driver = {
+        'event_message_time_threshold': WINDOW_NS / 1e9,
+        'imu_acc_enabled': False,
+        'imu_gyro_enabled': False,
+        'imu_temp_enabled': False,
+        # While the host is behind, the camera sends nothing.
+        'stream_timeout': 600.0,
+    }
+    nodes = sensor_graph(
+        'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
+    )
+    nodes.append(recorder(bag, exclude=(topics.CONTACT, topics.CONTACT_POINT)))
+    console.print('starting virtual sensor, driver, estimator and recorder')
+    with Monitor(DEFAULT_NAMESPACE, processes) as monitor:
+        start_nodes(processes, nodes)
+        monitor.bring_up_all(nodes)
+        monitor.listen()
+        monitor.wait_for_force()
+        values = sensor_values(monitor, reference=True)
+
+        def sensor() -> dict[str, str]:
+            processes.check()
+            return monitor.values('virtual_sensor')
+
+        def recorder_starts() -> str:
+            return '' if sensor() and monitor.values('recorder') else 'the recorder starts'
+
+        def starts() -> str:
+            return 'the scenario starts' if sensor().get('plays', '0') == '0' else ''
+
+        def plays() -> str:
+            return 'playing the scenario' if sensor()['playing'] == 'True' else ''
+
+        show(console, recorder_starts, values)
+        monitor.trigger('virtual_sensor/play')
+        show(console, starts, values)
+        lost_us = float(sensor().get('lost_us', 0))
+        show(console, plays, values)
+        time.sleep(TAIL_S)
+        dropped = sum(
+            int(float(value))
+            for node in ('driver', 'fger', 'recorder')
+            for key, value in monitor.values(node).items()
+            if key.endswith('dropped')
+        )
+        return {'dropped': dropped, 'waited_s': (float(sensor()['lost_us']) - lost_us) / 1e6}
 
 
 @dataclass(frozen=True)
@@ -92,6 +212,7 @@ class Streams:
         arrival_ns: Arrival of each event packet at the host [ns], int64.
         invalid: Forces that are marked as not valid.
         force_ns: Ends of the force windows, camera clock [ns], int64.
+        force_arrival_ns: Arrival of each force at the recorder [ns], int64.
         force_n: Estimated normal force [N].
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
@@ -103,6 +224,7 @@ class Streams:
     arrival_ns: I64
     invalid: int
     force_ns: I64
+    force_arrival_ns: I64
     force_n: F64
     reference_ns: I64
     reference_n: F64
@@ -113,7 +235,6 @@ class Comparison:
     """Estimate against reference, on the camera clock.
 
     Attributes:
-        fit: The clock fit that brought the reference to the camera clock.
         start_us: Camera clock at time 0 below [us].
         time_s: Sample times [s].
         estimate_n: Estimated force before the calibration [N].
@@ -123,7 +244,6 @@ class Comparison:
         judged: Which samples count for the errors: all but those of the press.
     """
 
-    fit: ClockFit
     start_us: int
     time_s: F64
     estimate_n: F64
@@ -132,42 +252,33 @@ class Comparison:
     gain: float
     judged: NDArray[np.bool_]
 
-    def mae(self, gain: float) -> float:
-        """Return the mean absolute error of the estimate times a gain [N]."""
-        return float(np.abs(gain * self.estimate_n - self.reference_n)[self.judged].mean())
-
     def figures(self) -> dict[str, Any]:
         """Return the figures of the comparison; see `evaluate`."""
-        reference = self.reference_n[self.judged]
-        error = self.gain * self.estimate_n[self.judged] - reference
+        reference, estimate = self.reference_n[self.judged], self.estimate_n[self.judged]
+        error = self.gain * estimate - reference
         return {
-            'mae_n': self.mae(self.gain),
+            'mae_n': float(np.abs(error).mean()),
             'rmse_n': float(np.sqrt((error**2).mean())),
-            'mae_uncalibrated_n': self.mae(1.0),
+            'mae_uncalibrated_n': float(np.abs(estimate - reference).mean()),
             'gain': self.gain,
             'reference_zero_n': self.zeros_n,
             'constant_mae_n': float(np.abs(reference - np.median(reference)).mean()),
-            'clock_drift_ppm': self.fit.drift_ppm,
-            'aligned_by': self.fit.method,
         }
 
 
-def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -> dict[str, Any]:
+def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
     """Compare the recorded force with the aligned reference, and draw the run.
 
     Returns:
         The figures for JSON; simulated sensor, real processes and middleware.
 
-        `seconds`: Length of the scenario [s].
-        `seed`: Seed of the scenario.
-        `device_seed`: Seed of the virtual sensor's build.
-        `force_hz`: Rate of `/mixtac/force` at a subscriber in another process.
-        `lost`: Force samples missing at that subscriber, by their stamps.
+        `force_hz`: Rate of `/mixtac/force` at the recorder during the scenario.
+        `lost`: Force samples missing at the recorder, by their stamps.
         `invalid`: Force samples marked as not valid; they are published and count in all figures.
         `latency_ms`: From the arrival of the last packet of a window to its force at the
-            subscriber, p50 and p99.
-        `gain`: Factor of the force by which the press of the scenario calibrates the sensor; None,
-            as the figures from here to `aligned_by`, if the alignment was refused.
+            recorder, p50 and p99.
+        `gain`: Factor of the force by which the press of the scenario calibrates the sensor; this
+            and the figures to `aligned_by` are None if the alignment was refused.
         `mae_n`: Mean absolute error of the calibrated force against the reference, aligned as by
             `mixtac align` and less its zero, without the press that calibrates.
         `rmse_n`: Root mean square error of the same samples.
@@ -180,40 +291,37 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
         `peak_event_rate_mev_s`: Highest event rate in 10 ms.
         `packet_hz`: Rate of event packets.
         `lost_packets`: Event packets missing in the recording.
-        `computed_s`: Time for which simulated time stopped to compute the scenario [s].
-        `waited_s`: Time for which it stopped later, because the host was too slow [s].
-        `dropped`: Transfers, words, frames and messages dropped inside nodes.
         `refused`: Why the alignment was refused, or empty.
     """
-    streams = read_streams(out / BAG, topics.DEFAULT_NAMESPACE)
-    spans = phases(seconds, seed)
-    comparison, refused = None, ''
+    streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
+    spans, refused = phases(seconds, seed), ''
+    start_us, end_us = (int(streams.force_ns[at]) // 1000 for at in (0, -1))
+    names = ('mae_n', 'rmse_n', 'mae_uncalibrated_n', 'constant_mae_n', 'gain', 'reference_zero_n')
+    aligned: dict[str, Any] = dict.fromkeys((*names, 'clock_drift_ppm', 'aligned_by'))
+    comparison = None
     try:
         fit = align(read_recording(out / BAG), max_gap_s=MAX_FORCE_GAP_S)
         comparison = compare(streams, fit, spans[PRESS])
+        aligned = comparison.figures()
+        aligned |= {'clock_drift_ppm': fit.drift_ppm, 'aligned_by': fit.method}
+        start_us = comparison.start_us
+        end_us = start_us + int(comparison.time_s[-1] * 1e6)
     except AlignmentError as error:
         refused = str(error)
-    latency = latency_ms(streams, run)
-    rate = event_rate(streams, comparison)
+    counts = counts_per_window(streams.event_t_us, start_us, end_us, RATE_WINDOW_US)
+    rate = np.asarray(counts * (1e6 / RATE_WINDOW_US), np.float64)
+    played = streams.force_ns > streams.force_ns[-1] - round(1e9 * (seconds + TAIL_S))
+    latency = latency_ms(streams)[played]
     report: dict[str, Any] = {
-        'seconds': seconds,
-        'seed': seed,
-        'device_seed': device_seed,
-        'force_hz': float((len(latency) - 1) * 1e9 / np.ptp(run.arrival_ns)),
-        'lost': lost_windows(run.stamp_ns),
+        'force_hz': float((len(latency) - 1) * 1e9 / np.ptp(streams.force_arrival_ns[played])),
+        'lost': lost_windows(streams.force_ns[played]),
         'invalid': streams.invalid,
-        'latency_ms': {
-            'p50': float(np.quantile(latency, 0.5)),
-            'p99': float(np.quantile(latency, 0.99)),
-        },
-        **(comparison.figures() if comparison else dict.fromkeys(ALIGNED)),
+        'latency_ms': {f'p{part}': float(np.percentile(latency, part)) for part in (50, 99)},
+        **aligned,
         'event_rate_mev_s': float(rate.mean() / 1e6),
         'peak_event_rate_mev_s': float(rate.max() / 1e6),
         'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
         'lost_packets': streams.lost_packets,
-        'computed_s': run.computed_s,
-        'waited_s': run.waited_s,
-        'dropped': run.dropped,
         'refused': refused,
     }
     if comparison is not None:
@@ -231,29 +339,35 @@ def read_streams(path: Path, namespace: str) -> Streams:
     Raises:
         RecordingError: A topic is missing or the bag is damaged.
     """
-    times, complete_us, arrival_ns = [np.empty(0, np.int64)], [], []
-    events, quality = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY))
+    events, quality, force = (
+        each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY, topics.FORCE)
+    )
+    times, packets, forces = [np.empty(0, np.int64)], [], []
     counter, invalid = SequenceCounter(), 0
     with BagFile(path) as bag:
-        for topic, _, message in bag.messages(events, quality):
+        for topic, received_ns, message in bag.messages(events, quality, force):
             if topic == quality:
                 invalid += not message.valid
-                continue
-            counter.update(message.seq)
-            packet = decode_message(message)
-            times.append(packet.events.t)
-            complete_us.append(packet.complete_until)
-            arrival_ns.append(stamp_to_ns(message.header.stamp))
-        force_ns, force = bag.wrenches(topics.FORCE.resolved(namespace))
+            elif topic == force:
+                stamp_ns = stamp_to_ns(message.header.stamp)
+                forces.append((stamp_ns, received_ns, topics.normal_force(message)))
+            else:
+                counter.update(message.seq)
+                packet = decode_message(message)
+                times.append(packet.events.t)
+                packets.append((packet.complete_until, stamp_to_ns(message.header.stamp)))
         reference_ns, reference = bag.wrenches(topics.REFERENCE)
+    complete_us, arrival_ns = np.array(packets, np.int64).reshape(-1, 2).T
+    force_ns, force_arrival_ns, force_n = zip(*forces, strict=True)
     return Streams(
         event_t_us=np.concatenate(times),
         lost_packets=counter.lost,
-        complete_us=np.array(complete_us, np.int64),
-        arrival_ns=np.array(arrival_ns, np.int64),
+        complete_us=complete_us,
+        arrival_ns=arrival_ns,
         invalid=invalid,
-        force_ns=force_ns,
-        force_n=force[:, 2],
+        force_ns=np.array(force_ns, np.int64),
+        force_arrival_ns=np.array(force_arrival_ns, np.int64),
+        force_n=np.array(force_n),
         reference_ns=reference_ns,
         reference_n=reference[:, 2],
     )
@@ -286,44 +400,23 @@ def compare(streams: Streams, fit: ClockFit, press_s: tuple[float, float]) -> Co
     time_s, estimate = (force_us[inside] - start_us) / 1e6, streams.force_n[inside]
     pressed = (time_s >= press_s[0]) & (time_s <= press_s[1])
     held = pressed & (reference > HELD_PART * reference[pressed].max(initial=0.0))
-    return Comparison(
-        fit=fit,
-        start_us=start_us,
-        time_s=time_s,
-        estimate_n=estimate,
-        reference_n=reference,
-        zeros_n=(before, after),
-        gain=float(reference[held].sum() / estimate[held].sum()) if held.any() else 1.0,
-        judged=~pressed,
-    )
+    gain = float(reference[held].sum() / estimate[held].sum()) if held.any() else 1.0
+    return Comparison(start_us, time_s, estimate, reference, (before, after), gain, ~pressed)
 
 
 def lost_windows(stamps_ns: I64) -> int:
     """Return how many 2 ms windows are missing between the first and the last stamp."""
-    if len(stamps_ns) == 0:
-        return 0
-    return int((stamps_ns[-1] - stamps_ns[0]) // WINDOW_NS) + 1 - len(stamps_ns)
+    return int(np.ptp(stamps_ns) // WINDOW_NS) + 1 - len(stamps_ns)
 
 
-def latency_ms(streams: Streams, run: Run) -> F64:
+def latency_ms(streams: Streams) -> F64:
     """Return the time from the arrival of a window's last packet to its force [ms].
 
     The end of the window itself has no time on the host clock where simulated time stops.
     """
-    packet = np.searchsorted(streams.complete_us * 1000, run.stamp_ns)
+    packet = np.searchsorted(streams.complete_us * 1000, streams.force_ns)
     sent_ns = streams.arrival_ns[packet.clip(max=len(streams.arrival_ns) - 1)]
-    return np.asarray((run.arrival_ns - sent_ns) / 1e6, np.float64)
-
-
-def event_rate(streams: Streams, comparison: Comparison | None) -> F64:
-    """Return event rates in windows of 10 ms [1/s] over the comparison; without one over all."""
-    if comparison is None:
-        start_us, end_us = int(streams.force_ns[0]) // 1000, int(streams.force_ns[-1]) // 1000
-    else:
-        start_us = comparison.start_us
-        end_us = start_us + int(comparison.time_s[-1] * 1e6)
-    counts = counts_per_window(streams.event_t_us, start_us, end_us, RATE_WINDOW_US)
-    return np.asarray(counts * (1e6 / RATE_WINDOW_US), np.float64)
+    return np.asarray((streams.force_arrival_ns - sent_ns) / 1e6, np.float64)
 
 
 def phases(seconds: float, seed: int) -> Spans:
@@ -347,9 +440,10 @@ def phases(seconds: float, seed: int) -> Spans:
 
 
 def _name(segment: Segment) -> str:
+    press, oscillation, impact = SHOWN_S
     if segment.mode >= Mode.DROP:
-        return IMPACT
-    return OSCILLATION if segment.tones and segment.tones[0].amplitude > TREMOR_N else PRESS
+        return impact
+    return oscillation if segment.tones and segment.tones[0].amplitude > TREMOR_N else press
 
 
 def draw_run(path: Path, comparison: Comparison, rate: F64, spans: Spans, title: str) -> None:
@@ -365,24 +459,19 @@ def draw_run(path: Path, comparison: Comparison, rate: F64, spans: Spans, title:
     Raises:
         FileError: The file cannot be written.
     """
-    figure = new_figure(11, 8.5)
-    grid = figure.add_gridspec(4, len(spans), height_ratios=[3, 1, 1, 3])
+    figure = new_figure(11, 7.5)
+    grid = figure.add_gridspec(3, len(spans), height_ratios=[3, 1, 3])
     whole = figure.add_subplot(grid[0, :])
     _draw_force(whole, comparison, 0.0, float(comparison.time_s[-1]))
     whole.set_ylim(-0.15, max(1.2, 1.3 * float(np.quantile(comparison.reference_n, 0.99))))
     whole.legend(loc='upper right', ncols=2, frameon=False)
     whole.set_title(title, loc='left')
-    error = figure.add_subplot(grid[1, :], sharex=whole)
-    difference_n = comparison.gain * comparison.estimate_n - comparison.reference_n
-    error.plot(comparison.time_s, difference_n, color=FORCE, lw=0.7)
-    error.axhline(0, color='k', lw=0.5)
-    error.set(ylabel='error [N]', ylim=(-0.5, 0.5))
-    events = figure.add_subplot(grid[2, :], sharex=whole)
+    events = figure.add_subplot(grid[1, :], sharex=whole)
     centres_s = (np.arange(len(rate)) + 0.5) * RATE_WINDOW_US / 1e6
     events.semilogy(centres_s, np.maximum(rate, 1.0), color=EVENTS, lw=0.8)
-    events.set(xlabel='camera time [s]', ylabel='events [1/s]')
+    events.set(ylabel='events [1/s]')
     for column, (name, (start_s, end_s)) in enumerate(spans.items()):
-        axes = figure.add_subplot(grid[3, column])
+        axes = figure.add_subplot(grid[2, column])
         _draw_force(axes, comparison, start_s, min(end_s, start_s + SHOWN_S[name]))
         axes.set_title(f'{name} (calibrates)' if name == PRESS else name, fontsize=10)
         axes.set_xlabel('camera time [s]')
@@ -400,22 +489,12 @@ def _draw_force(axes: Axes, comparison: Comparison, start_s: float, end_s: float
 
 def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> None:
     """Print the results of a demo and where its bag and figure are."""
-    title = 'Measured on the virtual sensor (simulated)'
-    console.print(make_table(title, ('figure', 'value'), _rows(report)))
-    if report['refused']:
-        console.print(f'no error and no figure: {report["refused"]}', soft_wrap=True)
-    else:
-        console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
-    console.print(f'bag      {folder / BAG}', soft_wrap=True)
-    console.print(f'summary  {folder / "demo.json"}', soft_wrap=True)
 
-
-def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     def n(key: str) -> str:
         return '-' if report[key] is None else f'{report[key]:.3f}'
 
     latency = report['latency_ms']
-    return [
+    rows = [
         ('event rate, mean', f'{n("event_rate_mev_s")} Mev/s'),
         ('event rate, highest in 10 ms', f'{n("peak_event_rate_mev_s")} Mev/s'),
         ('force', f'{report["force_hz"]:.1f} Hz'),
@@ -431,3 +510,11 @@ def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('dropped inside nodes', str(report['dropped'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
     ]
+    title = 'Measured on the virtual sensor (simulated)'
+    console.print(make_table(title, ('figure', 'value'), rows))
+    if report['refused']:
+        console.print(f'no error and no figure: {report["refused"]}', soft_wrap=True)
+    else:
+        console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
+    console.print(f'bag      {folder / BAG}', soft_wrap=True)
+    console.print(f'summary  {folder / "demo.json"}', soft_wrap=True)

@@ -18,7 +18,7 @@ from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
-from mixtac.view.page import require_rerun
+from mixtac.view import require_rerun
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
