@@ -20,14 +20,16 @@ from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag_writer import repair as repair_bag
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_core.recordings.export import Counts, export_recording
-from mixtac_core.recordings.importing import TableOptions, import_recording
+from mixtac_core.recordings.importing import import_recording
 from mixtac_core.recordings.recording import (
     AEDAT4_SUFFIX,
+    FORMATS,
     DamagedRecordingError,
     RecordingError,
     Selection,
 )
 from mixtac_core.recordings.summary import summarise
+from mixtac_core.recordings.tables import TableOptions
 from mixtac_fger.alignment.bags import write_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
 
@@ -44,16 +46,33 @@ ImuOf = Annotated[
     str, typer.Option('--imu', help='Topic of inertial samples; none leaves them out.')
 ]
 
+TimeUnit = Annotated[
+    str,
+    typer.Option(
+        help='Unit of camera times where the file states none: ns, us, ms or s; empty: us, of whole'
+        ' numbers.'
+    ),
+]
+Size = Annotated[
+    str,
+    typer.Option(
+        help='Width x height of the camera in pixels, as 346x260, where the file does not state it;'
+        ' empty: as its frames.'
+    ),
+]
+
 
 def export(
     recording: Annotated[
-        Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')
+        Path, typer.Argument(help='Folder of a bag, or any file that import reads.')
     ],
     to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
     events: EventsOf = '',
     image: ImageOf = '',
     imu: ImuOf = '',
+    time_unit: TimeUnit = '',
+    size: Size = '',
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
     console = Console(markup=False)
@@ -66,6 +85,7 @@ def export(
             out,
             lambda done: bars.update(bar, completed=done),
             Selection(events, image, imu),
+            TableOptions(time_unit, size=_size(size)),
         )
     console.print(
         f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
@@ -87,8 +107,8 @@ def import_(
     source: Annotated[
         Path,
         typer.Argument(
-            help='Camera data: .csv, .npz, .h5, .aedat4, .bag, a bag, or a folder that'
-            ' `mixtac export` wrote.'
+            help='Camera data: .csv, .txt, .npz, .h5, .aedat4, .aedat, .bag, a bag, or a folder'
+            ' that `mixtac export` wrote.'
         ),
     ],
     out: Annotated[Path, typer.Option(help='Folder of the new bag.')],
@@ -99,23 +119,12 @@ def import_(
         bool,
         typer.Option('--same-clock', help='The forces are stamped on the clock of the camera.'),
     ] = False,
-    time_unit: Annotated[
-        str,
-        typer.Option(
-            help='Unit of camera times where the file states none: ns, us, ms or s; empty: us, of'
-            ' whole numbers.'
-        ),
-    ] = '',
+    time_unit: TimeUnit = '',
     force_unit: Annotated[
         str,
         typer.Option(help='Unit of the times of forces where the file states none; empty: s.'),
     ] = '',
-    size: Annotated[
-        str,
-        typer.Option(
-            help='Width x height of the camera in pixels, as 346x260; empty: as its frames.'
-        ),
-    ] = '',
+    size: Size = '',
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
     ] = '',
@@ -141,10 +150,10 @@ def import_(
     wrenches = counts.wrenches.get(REFERENCE, 0)
     figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
     seconds = 1e-6 * counts.length_us
-    size = '{} x {}'.format(*counts.size)
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
     console.print(
-        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, {size} pixels'
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, times on a grid of'
+        f' {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
     )
     if same_clock and wrenches:
         console.print(f'clock fit: {write_fit(_one_clock(), out)}')
@@ -176,13 +185,25 @@ def _one_clock() -> ClockFit:
 
 
 def inspect(
-    bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3, .bag or .aedat4.')],
+    bag: Annotated[
+        OptionalPath, typer.Argument(help='Folder of a bag, or any file that import reads.')
+    ] = None,
+    time_unit: TimeUnit = '',
+    size: Size = '',
+    formats: Annotated[
+        bool, typer.Option('--formats', help='List the file formats that are read, and others.')
+    ] = False,
 ) -> None:
     """List the topics of a recording, read all of it, decode the events and count lost packets.
 
     Exit status 1 if the recording is incomplete or damaged.
     """
-    summary = summarise(bag)
+    if formats:
+        _list_formats()
+        return
+    if bag is None:
+        raise typer.BadParameter('give a recording, or --formats')
+    summary = summarise(bag, TableOptions(time_unit, size=_size(size)))
     rows = []
     for topic, count in sorted(summary.counts.items()):
         events = summary.events.get(topic)
@@ -192,6 +213,8 @@ def inspect(
     title = f'{bag}, {summary.duration_s:.1f} s'
     console = Console(markup=False)
     console.print(make_table(title, headings, rows, words=2))
+    for each in summary.warnings:
+        console.print(f'warning: {each}', style='yellow')
     for topic, events in sorted(summary.events.items()):
         for count, what in (
             (events.backward_steps, 'steps back in time, by a reset of the clock or disorder'),
@@ -201,6 +224,12 @@ def inspect(
                 console.print(f'warning: {topic}: {what}: {count}', style='yellow')
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
+
+
+def _list_formats() -> None:
+    rows = [(each.name, ' '.join(each.suffixes), each.remedy or 'read') for each in FORMATS]
+    title = 'read by inspect, import, export and up --device; or what to do instead'
+    Console(markup=False).print(make_table(title, ('format', 'suffixes', 'way'), rows, words=3))
 
 
 def repair(

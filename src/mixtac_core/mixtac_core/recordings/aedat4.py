@@ -4,13 +4,18 @@
 
 Packets of the streams differ in length, often half a second of inertial samples and 10 ms of
 events: they are cut into short pieces and merged by time. Times [us] are those of the file.
+A process of its own reads the file, because dv-processing never returns from some damaged packets.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Generator, Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,12 +33,17 @@ from mixtac_core.recordings.recording import (
     RecordingError,
     RecordingInfo,
     Selection,
+    Wrenches,
 )
 
 Readings = TypeVar('Readings', Events, InertialSamples, Edges)
 SLICE_US = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""
 PACKAGE = 'dv-processing==2.0.4'
+PIECES = 100
+"""Pieces that are passed on at once."""
+PATIENCE_S = 30.0
+"""Longest time without progress, after which a file counts as damaged [s]."""
 KINDS = ('events', 'image', 'imu', 'triggers')
 """Kinds of data that are read."""
 _EDGES = {
@@ -81,13 +91,111 @@ class Aedat4Recording:
     """
 
     def __init__(self, path: Path, selection: Selection | None = None) -> None:
-        selection = selection or Selection()
         if path.suffix != AEDAT4_SUFFIX:
             raise RecordingError(
                 f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
             )
-        dv, camera = load_dv(), '' if selection.events == NONE else selection.events
+        load_dv()
         self.counters = ReadCounters()
+        self._path, self._selection = path, selection or Selection()
+        self._child: subprocess.Popen[bytes] | None = None
+        self.info = self._open()
+        self._fresh = True
+
+    def close(self) -> None:
+        """End the process that reads the file."""
+        if self._child is not None:
+            self._child.kill()
+            self._child.wait()
+            self._wire.close()
+            self._child = None
+
+    def wrenches(self) -> Mapping[str, Wrenches]:
+        """Return none: the format holds no forces."""
+        return {}
+
+    def pieces(self) -> Generator[Piece, None, None]:
+        """Yield what was recorded, merged by time.
+
+        Raises:
+            DamagedRecordingError: The file is damaged.
+        """
+        if not self._fresh:
+            self._open()
+        self._fresh = False
+        width, height = self.info.width, self.info.height
+        while pieces := self._received():
+            for piece in pieces:
+                piece.check()
+                inside = (piece.events.x < width) & (piece.events.y < height)
+                self.counters.events_outside += int(np.count_nonzero(~inside))
+                yield piece if inside.all() else replace(piece, events=piece.events[inside])
+
+    def _open(self) -> RecordingInfo:
+        """Start the process that reads the file, and return its description."""
+        self.close()
+        self._wire, theirs = Pipe()
+        code = f'from {__name__} import serve; serve({theirs.fileno()})'
+        self._child = subprocess.Popen(
+            [sys.executable, '-c', code],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()],
+        )
+        theirs.close()
+        self._wire.send((self._path, self._selection))
+        info: RecordingInfo = self._received()
+        return info
+
+    def _received(self) -> Any:  # noqa: ANN401
+        """Return what the process sent next.
+
+        Raises:
+            RecordingError: What the process found, or it stands still or has crashed.
+        """
+        try:
+            found = self._wire.recv() if self._wire.poll(PATIENCE_S) else None
+        except EOFError:
+            found = None
+        if found is None:
+            self.close()
+            raise _damaged(self._path, 'dv-processing stands still or has crashed')
+        if isinstance(found, RecordingError):
+            self.close()
+            raise found
+        return found
+
+
+def serve(number: int) -> None:
+    """Read a file for another process, and send its description, its pieces, and an empty list.
+
+    Args:
+        number: File descriptor of the connection, on which the path and the selection arrive.
+    """
+    wire = Connection(number)
+    path, selection = wire.recv()
+    part: list[Piece] = []
+    try:
+        file = _File(path, selection)
+        wire.send(file.info)
+        for piece in file.merged():
+            part.append(piece)
+            if len(part) == PIECES:
+                wire.send(part)
+                part = []
+        wire.send(part) if part else None
+        wire.send([])
+    except RecordingError as error:
+        wire.send(part) if part else None
+        wire.send(error)
+
+
+class _File:
+    """A file, read in this process."""
+
+    def __init__(self, path: Path, selection: Selection) -> None:
+        dv, camera = load_dv(), '' if selection.events == NONE else selection.events
         self._path = path
         try:
             arguments = (str(path), camera) if camera else (str(path),)
@@ -104,12 +212,12 @@ class Aedat4Recording:
             sized = self._file.getEventResolution() or self._file.getFrameResolution()
             start_us, end_us = self._file.getTimeRange()
         except RuntimeError as error:
-            raise self._damaged(error) from error
+            raise _damaged(path, _cause(error)) from error
         if not set(self._kinds) - {'triggers'} or not sized:
             raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
         if start_us >= end_us:
             # A table of packets without times.
-            spans = [(piece.start_us, piece.until_us) for piece in self._merged()]
+            spans = [(piece.start_us, piece.until_us) for piece in self.merged()]
             start_us = min((start for start, _ in spans), default=0)
             end_us = max((until for _, until in spans), default=0)
         self.info = RecordingInfo(
@@ -124,30 +232,7 @@ class Aedat4Recording:
             contents=tuple((kind, kind) for kind in self._kinds),
         )
 
-    def close(self) -> None:
-        """Close the file."""
-        del self._file
-
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield what was recorded, merged by time.
-
-        Args:
-            from_us: Time to begin at [us]; earlier pieces may come first.
-
-        Raises:
-            DamagedRecordingError: The file is damaged.
-        """
-        width, height = self.info.width, self.info.height
-        for piece in self._merged():
-            piece.check()
-            outside = (piece.events.x >= width) | (piece.events.y >= height)
-            if outside.any():
-                self.counters.events_outside += int(np.count_nonzero(outside))
-                yield Piece(piece.start_us, piece.until_us, piece.advances, piece.events[~outside])
-            elif piece.until_us >= from_us:
-                yield piece
-
-    def _merged(self) -> Iterator[Piece]:
+    def merged(self) -> Iterator[Piece]:
         self._file.resetSequentialRead()
         chosen = [self._stream(*_READERS[kind]) for kind in self._kinds]
         yield from heapq.merge(*chosen, key=lambda piece: piece.start_us)
@@ -159,16 +244,17 @@ class Aedat4Recording:
             try:
                 packet = following()
             except RuntimeError as error:
-                raise self._damaged(error) from error
+                raise _damaged(self._path, _cause(error)) from error
             if packet is None:
                 return
             yield from pieces(packet, alone)
 
-    def _damaged(self, error: Exception) -> DamagedRecordingError:
-        return DamagedRecordingError(
-            f'{self._path} is damaged or not an AEDAT4 file ({_cause(error)})',
-            remedy='copy it again, or open it in DV and save what it reads',
-        )
+
+def _damaged(path: Path, cause: str) -> DamagedRecordingError:
+    return DamagedRecordingError(
+        f'{path} is damaged or not an AEDAT4 file ({cause})',
+        remedy='copy it again, or open it in DV and save what it reads',
+    )
 
 
 def _cause(error: Exception) -> str:

@@ -9,36 +9,48 @@ first event packet and its events, which is correct to within the transport dela
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mixtac_core.events.codec import READABLE, StreamDecoder
-from mixtac_core.events.foreign import EVT3
 from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
-from mixtac_core.events.windows import RESTART_US
 from mixtac_core.node import topics
-from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
+from mixtac_core.recordings.aedat2 import Aedat2Recording
 from mixtac_core.recordings.aedat4 import Aedat4Recording
-from mixtac_core.recordings.bag import BagFile
+from mixtac_core.recordings.bag import BagFile, find_bags
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
 from mixtac_core.recordings.recording import (
-    AEDAT4_SUFFIX,
+    AEDAT2,
+    AEDAT4,
+    AEDAT4_FILE,
     BAG_SUFFIXES,
+    HDF5,
+    NPZ,
     ROS1_SUFFIX,
+    TEXT,
     Piece,
     ReadCounters,
     Recording,
     RecordingError,
     RecordingInfo,
     Selection,
+    Wrenches,
     choose,
+    file_format,
     not_a_recording,
 )
+from mixtac_core.recordings.table_recording import open_table_recording
+from mixtac_core.recordings.tables import TableOptions
+from mixtac_core.recordings.writers import HDF5_FILE
 
 PATIENCE = 20
 """Messages to wait for the exposure of a frame: 20 ms of packets."""
@@ -46,8 +58,8 @@ PATIENCE = 20
 
 OTHER_CLOCK_US = 60_000_000
 """Event times that differ by more than this from the stamp of their packet are on another clock."""
-MARGIN_NS = 10_000_000_000
-"""Time before the expected reception at which reading begins after a jump: clocks drift [ns]."""
+WRENCHES = 1000
+"""Wrenches that are read at once."""
 
 
 class BagRecording:
@@ -69,16 +81,17 @@ class BagRecording:
         self._path = path
         self._bag = BagFile(path)
         self._arrays = False
+        self._images: str | None = None
         self._temperatures: str | None = None
         self._celsius = (0, math.nan)
         self._unreadable: dict[str, str] = {}
         self._decoder = StreamDecoder()
-        self._seekable = True
         try:
             self._choose(selection or Selection())
             self._offset_us = 0
             self._corner = (0, 0)
             self._info = self._inspect()
+            self.counters = ReadCounters()
         except RecordingError:
             self.close()
             raise
@@ -90,15 +103,17 @@ class BagRecording:
         damage = '; '.join(filter(None, (self._bag.damage, *unreadable)))
         return replace(self._info, damage=damage)
 
+    def wrenches(self) -> Mapping[str, Wrenches]:
+        """Return the recorded forces by their topics."""
+        topics_of_forces = self._bag.topics(topics.REFERENCE_WRENCH.type_name)
+        return {topic: _bag_wrenches(self._path, topic) for topic in topics_of_forces}
+
     def close(self) -> None:
         """Close the files."""
         self._bag.close()
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+    def pieces(self) -> Generator[Piece, None, None]:
         """Yield the recorded data in the order in which they were received.
-
-        Args:
-            from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
 
         Raises:
             RecordingError: The bag is damaged, or a packet is in an unknown encoding.
@@ -107,12 +122,11 @@ class BagRecording:
         named = [self._events, self._images, self._imu, self._exposures, self._edges]
         named.append(self._temperatures)
         chosen = [topic for topic in named if topic]
-        start_ns = self._received_before(from_us)
         self._decoder = StreamDecoder()
         # A frame waits for the message with its exposure, at most PATIENCE messages.
         held: Piece | None = None
         passed = 0
-        for topic, _, message in self._messages(*chosen, start_ns=start_ns):
+        for topic, _, message in self._messages(*chosen):
             if topic == self._exposures:
                 if held is not None and (exposed := self._exposed(held, message)):
                     yield exposed
@@ -136,11 +150,13 @@ class BagRecording:
         if held is not None:
             yield held
 
-    def _messages(self, *wanted: str, start_ns: int | None = None) -> Any:  # noqa: ANN401
+    def _messages(self, *wanted: str) -> Any:  # noqa: ANN401
         """Yield the messages of some topics, event arrays of ROS 1 decoded; note temperatures."""
         raw = {topic for topic in wanted if self._arrays and topic == self._events}
-        for topic, received_ns, message in self._bag.messages(*wanted, start_ns=start_ns, raw=raw):
-            if topic == self._temperatures:
+        for topic, received_ns, message in self._bag.messages(*wanted, raw=raw):
+            if topic == self._images and not stamp_to_us(message.header.stamp):
+                self.counters.frames_without_time += 1
+            elif topic == self._temperatures:
                 self._celsius = stamp_to_us(message.header.stamp), float(message.temperature)
             else:
                 yield topic, received_ns, read_event_array(message) if topic in raw else message
@@ -162,6 +178,10 @@ class BagRecording:
         beside = self._events or ''
         images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
+        if self._images and next(self._messages(self._images), None) is None:
+            count = self._bag.counts[self._images]
+            self._unreadable[self._images] = f'the stamps of its {count} images are zero'
+            self._images = None
         samples = self._bag.topics(topics.IMU.type_name)
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
         self._exposures = self._beside(topics.IMAGE_EXPOSURE.type_name, self._images)
@@ -212,8 +232,6 @@ class BagRecording:
             apart_us = _stamp_us(first) - start_us
             self._offset_us = apart_us if self._on_host_clock(start_us, apart_us) else 0
             size = (int(first.width), int(first.height))
-            # Times roll over every 17 s: they are known only from the beginning on.
-            self._seekable = self._arrays or first.encoding != EVT3
         color_filter = 0
         if self._images:
             image = self._first(self._images)
@@ -257,18 +275,6 @@ class BagRecording:
         for _, _, message in self._messages(topic or ''):
             return message
         raise RecordingError(f'{self._path} has no messages on {topic}')
-
-    def _received_before(self, from_us: int) -> int | None:
-        """Return a time of reception before all data after a camera time; None for the start."""
-        start_us = self._info.start_us
-        start_ns = self._bag.start_ns + 1000 * (from_us - start_us) - MARGIN_NS
-        if not self._seekable or start_ns <= self._bag.start_ns:
-            return None
-        for _, _, message in self._messages(self._leader or '', start_ns=start_ns):
-            found_us = self._piece(self._leader or '', message).start_us
-            # Elsewhere where the clocks drifted apart, or after a long pause.
-            return start_ns if start_us - RESTART_US <= found_us <= from_us else None
-        return None
 
     def _piece(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
         try:
@@ -320,21 +326,49 @@ def _check_packet(message: Any) -> None:  # noqa: ANN401
         )
 
 
-def open_recording(path: Path, selection: Selection | None = None) -> Recording:
-    """Open a recording.
+def _bag_wrenches(path: Path, topic: str) -> Wrenches:
+    """Yield the wrenches of a topic from a reader of its own: others read on meanwhile."""
+    with BagFile(path) as bag:
+        messages = (message for _, _, message in bag.messages(topic))
+        while found := list(itertools.islice(messages, WRENCHES)):
+            stamps = np.array([stamp_to_ns(each.header.stamp) for each in found], np.int64)
+            yield stamps, np.array([_six(each.wrench) for each in found])
+
+
+def _six(wrench: Any) -> tuple[float, ...]:  # noqa: ANN401
+    force, torque = wrench.force, wrench.torque
+    return force.x, force.y, force.z, torque.x, torque.y, torque.z
+
+
+def open_recording(
+    path: Path, selection: Selection | None = None, options: TableOptions | None = None
+) -> Recording:
+    """Open a recording: a bag, an AEDAT file, tables, or a folder that an export made.
 
     Args:
-        path: An .aedat4, .mcap, .db3 or .bag file, or the folder of a bag.
+        path: The file or the folder.
         selection: Which of its topics to read; None for the only one of each kind.
+        options: Units of times and size of the camera, for files that do not state them.
 
     Raises:
         RecordingError: There is none, it cannot be read, is empty, or the choice is ambiguous.
     """
-    path = path.expanduser()
+    path, selection = path.expanduser(), selection or Selection()
+    options = options or TableOptions()
     if not path.exists():
         raise RecordingError(f'no recording at {path}', remedy='check the path')
-    if path.suffix.lower() == AEDAT4_SUFFIX:
+    if path.is_dir() and [each.name for each in path.iterdir()] in ([AEDAT4_FILE], [HDF5_FILE]):
+        path = next(path.iterdir())
+    known = file_format(path) if path.is_file() else None
+    suffix = path.suffix.lower()
+    if known in (AEDAT2, AEDAT4) and suffix in known.suffixes:
+        if known is AEDAT2:
+            return Aedat2Recording(path, selection, options.size)
         return Aedat4Recording(path, selection)
-    if path.is_dir() or path.suffix.lower() in {*BAG_SUFFIXES, ROS1_SUFFIX}:
+    if find_bags(path, 0) if path.is_dir() else suffix in {*BAG_SUFFIXES, ROS1_SUFFIX}:
         return BagRecording(path, selection)
+    if known in (None, HDF5, NPZ, TEXT) and (
+        tables := open_table_recording(path, selection, options)
+    ):
+        return tables
     raise not_a_recording(path)

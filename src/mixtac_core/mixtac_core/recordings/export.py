@@ -5,33 +5,30 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import InertialSamples
+from mixtac_core.events.windows import RESTART_US
 from mixtac_core.node.files import new_folder
-from mixtac_core.node.stamps import stamp_to_ns
-from mixtac_core.node.topics import REFERENCE_WRENCH
 from mixtac_core.recordings.aedat4 import Aedat4Writer
-from mixtac_core.recordings.bag import BagFile
-from mixtac_core.recordings.camera_stream import BagRecording, open_recording
+from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.recording import (
+    AEDAT4_FILE,
+    Piece,
     ReadCounters,
     Recording,
     RecordingError,
     RecordingInfo,
     Selection,
 )
+from mixtac_core.recordings.tables import TableOptions
 from mixtac_core.recordings.writers import CsvWriter, Hdf5Writer, NpzWriter, TableWriter
 
-AEDAT4_FILE = 'recording.aedat4'
 Writer = Aedat4Writer | TableWriter
 WRITERS: dict[str, Callable[[Path, RecordingInfo], Writer]] = {
     'aedat4': lambda folder, info: Aedat4Writer(folder / AEDAT4_FILE, info),
@@ -40,14 +37,14 @@ WRITERS: dict[str, Callable[[Path, RecordingInfo], Writer]] = {
     'npz': lambda folder, _: NpzWriter(folder),
 }
 """Formats of an export, by the name of `--to`: what makes the writer of a folder."""
-ROWS = 1 << 14
-"""Readings that are written at once."""
+PIECES = 500
+"""Pieces that are written at once."""
 LEAST_HZ = 10.0
 """Fewer events per second than the noise of any event camera [1/s]."""
 MOST_HZ = 1e8
 """More events per second than any event camera sends [1/s]."""
-WRENCHES = 1000
-"""Wrenches that are read at once."""
+COARSEST_US = 1000
+"""Least grid of the times of events that is reported [us]: windows are of milliseconds."""
 
 
 @dataclass
@@ -55,46 +52,58 @@ class Counts:
     """Numbers of exported or imported readings.
 
     Attributes:
+        info: Description of the recording.
+        lost: Events and packets that the recording lacks, or that were left out.
         events: Events.
         frames: Frames.
         samples: Inertial samples.
         edges: Edges.
         wrenches: Wrenches by topic.
-        size: Width and height of the camera.
-        damage: What of the recording is missing; empty for a sound one.
-        lost: Events and packets that the recording lacks, or that were left out.
         length_us: From the first to the last time [us]; known after an import.
+        grid_us: Greatest common divisor of the times between events [us]; 0 if unknown.
         forces_replaced: Whether forces were left out for those of another file.
     """
 
+    info: RecordingInfo
+    lost: ReadCounters
     events: int = 0
     frames: int = 0
     samples: int = 0
     edges: int = 0
     wrenches: dict[str, int] = field(default_factory=dict)
-    size: tuple[int, int] = (0, 0)
-    damage: str = ''
-    lost: ReadCounters = field(default_factory=ReadCounters)
     length_us: int = 0
+    grid_us: int = 0
     forces_replaced: bool = False
 
+    def add(self, piece: Piece) -> None:
+        """Count the readings of a piece."""
+        self.events += len(piece.events)
+        self.samples += len(piece.imu.t)
+        self.frames += len(piece.frames)
+        self.edges += len(piece.edges.t)
+
+    def add_times(self, events: Events, latest_us: int) -> None:
+        """Narrow the grid of the times down by events after those until `latest_us`."""
+        if self.grid_us != 1:
+            steps = np.diff(events.t, prepend=events.t[0] if latest_us < 0 else latest_us)
+            self.grid_us = int(np.gcd.reduce(steps, initial=self.grid_us))
+
     def warnings(self) -> list[str]:
-        """Return what is missing, a line each."""
-        found = [self.damage] if self.damage else []
-        if self.lost.packets_missing:
-            found.append(f'{self.lost.packets_missing} packets missing')
-        if self.lost.events_outside:
-            width, height = self.size
+        """Return what is missing or doubtful, a line each."""
+        found = [self.info.damage] if self.info.damage else []
+        found += self.lost.warnings()
+        if not self.info.size_known:
             found.append(
-                f'{self.lost.events_outside} events outside of {width} x {height} pixels left out'
-            )
-        if self.lost.events_unsorted:
-            found.append(
-                f'{self.lost.events_unsorted} events out of order in their message, sorted'
+                f'the file states no size of the camera: {self.info.width} x {self.info.height} is'
+                ' assumed, give it with --size'
             )
         rate_hz = self.events / (1e-6 * self.length_us) if self.length_us else 0.0
         if self.events and self.length_us and not LEAST_HZ < rate_hz < MOST_HZ:
             found.append(f'{rate_hz:.3g} events per second: check the unit of their times')
+        if self.grid_us >= COARSEST_US and self.events > 1:
+            found.append(
+                f'times of events are on a grid of {self.grid_us} us, too coarse for 1 ms windows'
+            )
         if self.forces_replaced:
             found.append('the forces of the recording are left out for those of the other file')
         return found
@@ -106,15 +115,17 @@ def export_recording(
     out: Path,
     progress: Callable[[float], None] = lambda _done: None,
     selection: Selection | None = None,
+    options: TableOptions | None = None,
 ) -> Counts:
     """Write a recording in another format, whole or not at all.
 
     Args:
-        path: Folder of a bag, or an .mcap, .db3, .bag or .aedat4 file.
+        path: A recording as for `open_recording`.
         kind: One of `WRITERS`.
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
         selection: Which of its topics or streams; None for the only one of each kind.
+        options: Units of times and size of the camera, for files that do not state them.
 
     Raises:
         RecordingError: The recording cannot be read, the choice is ambiguous, or the format is
@@ -126,52 +137,21 @@ def export_recording(
             f'unknown format {kind!r}', remedy=f'choose one of {", ".join(WRITERS)}'
         )
     with (
-        contextlib.closing(open_recording(path, selection)) as recording,
+        contextlib.closing(open_recording(path, selection, options)) as recording,
         new_folder(out) as folder,
     ):
         info = recording.info
-        counts = Counts(size=(info.width, info.height), lost=recording.counters)
+        counts = Counts(info, recording.counters)
         folder.mkdir()
         with contextlib.closing(WRITERS[kind](folder, info)) as writer:
             _export_camera(recording, writer, counts, progress)
-            if isinstance(writer, TableWriter) and isinstance(recording, BagRecording):
-                _export_wrenches(path, writer, counts)
-        counts.damage = recording.info.damage
+            if isinstance(writer, TableWriter):
+                for topic, parts in recording.wrenches().items():
+                    for stamps, values in parts:
+                        writer.wrenches(topic, stamps, values)
+                        counts.wrenches[topic] = counts.wrenches.get(topic, 0) + len(stamps)
+        counts.info = recording.info
     return counts
-
-
-Readings = TypeVar('Readings', Events, InertialSamples)
-
-
-class _Gathered(Generic[Readings]):
-    """Gathers readings and passes them on, `ROWS` or more at once, in order of time."""
-
-    def __init__(
-        self,
-        write: Callable[[Readings], None],
-        concatenate: Callable[[list[Readings]], Readings],
-    ) -> None:
-        self._write: Callable[[Readings], None] = write
-        self._concatenate: Callable[[list[Readings]], Readings] = concatenate
-        self._parts: list[Readings] = []
-        self._count = 0
-
-    def add(self, readings: Readings) -> int:
-        """Add readings, and return how many they are."""
-        count = len(readings.t)
-        if not count:
-            return 0
-        if self._count >= ROWS or (self._parts and readings.t[0] < self._parts[-1].t[-1]):
-            self.flush()
-        self._parts.append(readings)
-        self._count += count
-        return count
-
-    def flush(self) -> None:
-        """Pass on what is left."""
-        if self._parts:
-            self._write(self._concatenate(self._parts))
-            self._parts, self._count = [], 0
 
 
 def _export_camera(
@@ -180,45 +160,30 @@ def _export_camera(
     counts: Counts,
     progress: Callable[[float], None],
 ) -> None:
-    info, reported = recording.info, 0.0
-    events = _Gathered(writer.events, Events.concatenate)
-    samples = _Gathered(writer.samples, InertialSamples.concatenate)
-    for piece in recording.pieces(0):
-        counts.events += events.add(piece.events)
-        counts.samples += samples.add(piece.imu)
-        for frame in piece.frames:
-            writer.frame(frame)
-            counts.frames += 1
-        if len(piece.edges.t):
-            writer.edges(piece.edges)
-            counts.edges += len(piece.edges.t)
-        done = (piece.until_us - info.start_us) / max(info.length_us, 1)
-        if done > reported + 0.005:
-            reported = done
-            progress(min(done, 1.0))
-    events.flush()
-    samples.flush()
+    info, held = recording.info, list[Piece]()
+    for piece in recording.pieces():
+        # A clock that was reset begins a new part.
+        if len(held) == PIECES or (held and piece.until_us < held[-1].until_us - RESTART_US):
+            _write_pieces(held, writer, counts)
+            progress(min((piece.until_us - info.start_us) / max(info.length_us, 1), 1.0))
+            held = []
+        held.append(piece)
+    _write_pieces(held, writer, counts)
     progress(1.0)
 
 
-def _export_wrenches(path: Path, writer: TableWriter, counts: Counts) -> None:
-    with BagFile(path) as bag:
-        for topic in bag.topics(REFERENCE_WRENCH.type_name):
-            for stamps, values in bag_wrenches(bag, topic):
-                writer.wrenches(topic, stamps, values)
-            counts.wrenches[topic] = bag.counts[topic]
-
-
-def bag_wrenches(
-    bag: BagFile, topic: str
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Yield stamps [ns, clock of the topic], [n], and wrenches [N, N m], [n, 6], of a topic."""
-    messages = (message for _, _, message in bag.messages(topic))
-    while found := list(itertools.islice(messages, WRENCHES)):
-        stamps = np.array([stamp_to_ns(each.header.stamp) for each in found], np.int64)
-        yield stamps, np.array([_six(each.wrench) for each in found])
-
-
-def _six(wrench: Any) -> tuple[float, ...]:  # noqa: ANN401
-    force, torque = wrench.force, wrench.torque
-    return force.x, force.y, force.z, torque.x, torque.y, torque.z
+def _write_pieces(pieces: list[Piece], writer: Writer, counts: Counts) -> None:
+    if not pieces:
+        return
+    events = Events.concatenate([piece.events for piece in pieces])
+    samples = InertialSamples.concatenate([piece.imu for piece in pieces])
+    if len(events):
+        writer.events(events)
+    if len(samples.t):
+        writer.samples(samples)
+    for piece in pieces:
+        counts.add(piece)
+        for frame in piece.frames:
+            writer.frame(frame)
+        if len(piece.edges.t):
+            writer.edges(piece.edges)

@@ -8,10 +8,13 @@ Beside it, the file formats that are known by name.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
@@ -33,8 +36,16 @@ def reason(error: Exception) -> str:
 
 
 AEDAT4_SUFFIX = '.aedat4'
+AEDAT4_FILE = f'recording{AEDAT4_SUFFIX}'
+"""Name of the file that an export as AEDAT4 makes."""
 BAG_SUFFIXES = ('.mcap', '.db3')
 ROS1_SUFFIX = '.bag'
+
+
+AEDAT2_SUFFIX = '.aedat'
+HDF5_SUFFIXES = ('.h5', '.hdf5')
+NPZ_SUFFIX = '.npz'
+TEXT_SUFFIXES = ('.csv', '.txt')
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +56,34 @@ class FileFormat:
         name: As shown to users.
         magic: First bytes of its files; empty where they have none.
         suffixes: Suffixes of its files.
-        remedy: What to do with a file of it.
+        remedy: What to do with a file of it; empty where it is read.
     """
 
     name: str
     magic: bytes
     suffixes: tuple[str, ...]
-    remedy: str
+    remedy: str = ''
 
 
 _EXPORT = 'export events as csv with columns t, x, y, p and run `mixtac import` on them'
+MCAP = FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', ('.mcap',))
+SQLITE = FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', ('.db3',))
+ROS1 = FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,))
+AEDAT4 = FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,))
+AEDAT2 = FileFormat('AEDAT 2', b'#!AER-DAT2', (AEDAT2_SUFFIX,))
+HDF5 = FileFormat('HDF5', b'\x89HDF', HDF5_SUFFIXES)
+NPZ = FileFormat('NPZ', b'PK\x03\x04', (NPZ_SUFFIX,))
+TEXT = FileFormat('csv', b'', TEXT_SUFFIXES)
 FORMATS = (
-    FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', ('.mcap',), 'name the file NAME.mcap'),
-    FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', ('.db3',), 'name the file NAME.db3'),
-    FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,), 'name the file NAME.bag'),
-    FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,), 'name the file NAME.aedat4'),
-    FileFormat('HDF5', b'\x89HDF', ('.h5', '.hdf5'), 'run `mixtac import` on it'),
-    FileFormat('NPZ', b'PK\x03\x04', ('.npz',), 'run `mixtac import` on it'),
-    FileFormat('csv', b'', ('.csv', '.txt'), 'run `mixtac import` on it'),
-    FileFormat('AEDAT 2', b'#!AER-DAT2', (), f'open it in jAER, {_EXPORT}'),
-    FileFormat('AEDAT 3', b'#!AER-DAT3', ('.aedat',), f'open it in DV, {_EXPORT}'),
+    MCAP,
+    SQLITE,
+    ROS1,
+    AEDAT4,
+    AEDAT2,
+    HDF5,
+    NPZ,
+    TEXT,
+    FileFormat('AEDAT 3', b'#!AER-DAT3', (AEDAT2_SUFFIX,), f'open it in DV, {_EXPORT}'),
     FileFormat(
         'Prophesee DAT', b'% Data file', ('.dat',), f'with metavision_file_to_csv {_EXPORT}'
     ),
@@ -99,9 +118,10 @@ def not_a_recording(path: Path) -> RecordingError:
         what = 'folder without .mcap or .db3 files' if path.is_dir() else 'file of unknown format'
         return RecordingError(
             f'{path} is no recording: a {what}',
-            remedy='give an .aedat4, .mcap, .db3 or .bag file, or the folder of a bag',
+            remedy='`mixtac inspect --formats` lists the formats that are read',
         )
-    return RecordingError(f'{path} is no recording but {known.name}', remedy=known.remedy)
+    remedy = known.remedy or f'name it {path.stem}{known.suffixes[0]}'
+    return RecordingError(f'{path} is {known.name}, not {path.suffix or "named so"}', remedy=remedy)
 
 
 LATEST_US = (1 << 31) * 1_000_000 - 1
@@ -162,6 +182,7 @@ class RecordingInfo:
             recorded camera clock].
         length_us: Length [us], to within the time that data took to reach the recorder.
         contents: What is read: kind of data and name of its topic or stream.
+        size_known: False where the recording does not state the size of the camera.
         damage: What is missing because the file is incomplete, or a topic that cannot be read;
             empty for a sound recording.
     """
@@ -175,6 +196,7 @@ class RecordingInfo:
     start_us: int
     length_us: int
     contents: tuple[tuple[str, str], ...]
+    size_known: bool = True
     damage: str = ''
 
 
@@ -184,13 +206,33 @@ class ReadCounters:
 
     Attributes:
         packets_missing: Event packets that are missing by their numbers.
-        events_outside: Events dropped because they lie outside the sensor.
+        events_outside: Events left out because they lie outside the sensor.
         events_unsorted: Events that were older than the one before in their message; sorted.
+        frames_without_time: Frames left out because their stamp is zero.
+        other_words: Words of frames, inertial samples and edges in AEDAT 2, which are not read.
     """
 
     packets_missing: int = 0
     events_outside: int = 0
     events_unsorted: int = 0
+    frames_without_time: int = 0
+    other_words: int = 0
+
+    def warnings(self) -> list[str]:
+        """Return what is missing, a line each."""
+        texts = {
+            'packets_missing': 'packets missing',
+            'events_outside': 'events outside of the sensor left out',
+            'events_unsorted': 'events out of order in their message, sorted',
+            'frames_without_time': 'images with the stamp zero left out',
+            'other_words': 'words of frames, inertial samples and edges left out: of AEDAT 2 only'
+            ' events are read',
+        }
+        return [f'{getattr(self, key)} {text}' for key, text in texts.items() if getattr(self, key)]
+
+
+Wrenches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
+"""Stamps [ns, clock of the topic], int64 [n], and force [N] and torque [N m], float64 [n, 6]."""
 
 
 class Recording(Protocol):
@@ -202,15 +244,15 @@ class Recording(Protocol):
     def info(self) -> RecordingInfo:
         """Description; its damage is what has been found so far."""
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield the recorded data in order, reading as they are needed.
-
-        Args:
-            from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
+    def pieces(self) -> Generator[Piece, None, None]:
+        """Yield the recorded data in order from the beginning, reading as they are needed.
 
         Raises:
             RecordingError: The data are damaged.
         """
+
+    def wrenches(self) -> Mapping[str, Wrenches]:
+        """Return the recorded forces by the topic or table that holds them."""
 
     def close(self) -> None:
         """Close the file."""

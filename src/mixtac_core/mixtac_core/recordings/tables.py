@@ -3,8 +3,9 @@
 """Tables of events, frames, inertial samples and forces in CSV, NPZ and HDF5 files.
 
 Columns have documented names (`COLUMNS`). CSV files are separated by commas, or by white space
-where their lines hold none; lines that begin with `#` are comments. HDF5 files may have the layout
-of the DSEC data set (`events/p, x, y, t` and `t_offset`).
+where their lines hold none; lines that begin with `#` are comments, and a first line of two
+integers before lines of four columns is the size of the camera. HDF5 files may have the layout of
+the DSEC data set (`events/p, x, y, t` and `t_offset`); events may be one array of four columns.
 """
 
 from __future__ import annotations
@@ -15,17 +16,24 @@ import itertools
 import re
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.recordings.messages import ten_bits
-from mixtac_core.recordings.recording import RecordingError, reason
-from mixtac_core.recordings.writers import AXES, HDF5_SUFFIXES, UNITS, open_hdf5
+from mixtac_core.recordings.recording import (
+    HDF5_SUFFIXES,
+    NPZ_SUFFIX,
+    TEXT_SUFFIXES,
+    RecordingError,
+    reason,
+)
+from mixtac_core.recordings.writers import AXES, UNITS, open_hdf5
 
 TIME_UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
 """Units of time [ns]."""
@@ -50,14 +58,65 @@ UNNAMED: Final = {
     7: ('t', *(f'{name}_{axis}' for name in ('force', 'torque') for axis in AXES)),
 }
 """Columns of a CSV file without headings, by their number."""
+ORDERS: Final = (
+    ('t', 'x', 'y', 'polarity'),
+    ('x', 'y', 't', 'polarity'),
+    ('x', 'y', 'polarity', 't'),
+)
+"""Columns of an array without names: the one that grows is the time."""
 ROWS: Final = 100_000
 """Rows that are read at once."""
 FRAME_ROWS: Final = 10
 """Frames that are read at once."""
 MOST_GREY: Final = 1023
 Rows = dict[str, NDArray[Any]]
-Block = tuple[Rows, str, str]
-"""Columns by name, the unit of times that the file states, empty for none, and all its headings."""
+
+
+DAVIS346: Final = (346, 260)
+
+
+@dataclass(frozen=True, slots=True)
+class TableOptions:
+    """How to read tables that do not say it themselves.
+
+    Attributes:
+        time_unit: Unit of the times of camera data where the file states none, one of
+            `TIME_UNITS`; empty for `us`.
+        force_unit: Unit of the times of forces, likewise; empty for `s`.
+        size: Width and height of the camera; None for that of its frames, else 346 x 260.
+    """
+
+    time_unit: str = ''
+    force_unit: str = ''
+    size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the units.
+
+        Raises:
+            RecordingError: One is unknown.
+        """
+        for unit in (self.time_unit, self.force_unit):
+            if unit and unit not in TIME_UNITS:
+                raise RecordingError(
+                    f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(TIME_UNITS)}'
+                )
+
+
+class Block(NamedTuple):
+    """Some rows of a table.
+
+    Attributes:
+        rows: Columns by name.
+        headings: All headings of the file, for messages.
+        unit: Unit of times that the file states; empty for none.
+        size: Width and height of the camera that the file states; None for none.
+    """
+
+    rows: Rows
+    headings: str
+    unit: str = ''
+    size: tuple[int, int] | None = None
 
 
 class Tables:
@@ -71,7 +130,10 @@ class Tables:
     Attributes:
         path: As given.
         names: Names of the tables.
+        size: Width and height of the camera, known when a table that states it is read.
     """
+
+    size: tuple[int, int] | None = None
 
     def __init__(
         self,
@@ -99,7 +161,8 @@ class Tables:
                 another unit.
         """
         needed = NEEDED.get(name, ('t',))
-        for rows, stated, headings in self._blocks[name]():
+        for rows, headings, stated, size in self._blocks[name]():
+            self.size = size or self.size
             if name == 'frames' and 't' in rows:
                 rows['exposure_start'] = rows['exposure_end'] = rows['t']
             if missing := [each for each in needed if each not in rows]:
@@ -201,7 +264,7 @@ def open_tables(path: Path, name: str = 'events', group: str = '') -> Tables | N
     """
     if path.is_file() and path.suffix.lower() in HDF5_SUFFIXES:
         return _hdf5_tables(path, group)
-    for suffixes, read in ((('.csv', '.txt'), _csv_blocks), (('.npz',), _npz_blocks)):
+    for suffixes, read in ((TEXT_SUFFIXES, _csv_blocks), ((NPZ_SUFFIX,), _npz_blocks)):
         if path.is_dir():
             files = {each.stem: each for each in path.glob(f'*{suffixes[0]}')}
         else:
@@ -237,7 +300,13 @@ def _csv_blocks(path: Path) -> Iterator[Block]:
             raise RecordingError(f'{path} is empty', remedy='give a table with rows')
         rows = _cells(itertools.chain([first], lines))
         cells = next(rows)
-        stated = ''
+        stated, camera, unnamed = '', None, False
+        if len(cells) == 2 and all(each.strip().isdecimal() for each in cells):
+            following = next(rows, [])
+            if len(following) == 4:
+                camera, cells = (int(cells[0]), int(cells[1])), following
+            elif following:
+                rows = itertools.chain([following], rows)
         if _is_number(cells[0]):
             if len(cells) not in UNNAMED:
                 raise RecordingError(
@@ -245,6 +314,7 @@ def _csv_blocks(path: Path) -> Iterator[Block]:
                     remedy='add a line of headings: t, x, y, p; or t, fz',
                 )
             names, rows = list(UNNAMED[len(cells)]), itertools.chain([cells], rows)
+            unnamed = len(cells) == 4
         else:
             found = [_heading(path, cell) for cell in cells]
             names = [meaning for meaning, _ in found]
@@ -253,7 +323,14 @@ def _csv_blocks(path: Path) -> Iterator[Block]:
                 raise RecordingError(f'{path}: two columns have one name: {", ".join(cells)}')
         start, size = 1, 1 if 'file' in names else ROWS
         while part := list(itertools.islice(rows, size)):
-            yield _columns(path, names, part, start), stated, ', '.join(cells)
+            columns = _columns(path, names, part, start)
+            if unnamed and (columns['t'][1:] < columns['t'][:-1]).any():
+                raise RecordingError(
+                    f'{path} has no headings, and the first column does not grow',
+                    remedy='name the columns in a first line, for example x,y,p,t; if they are'
+                    ' t,x,y,p, sort the rows by time',
+                )
+            yield Block(columns, ', '.join(cells), stated, camera)
             start += len(part)
 
 
@@ -299,13 +376,13 @@ KNOWN: Final = frozenset(UNITS) | frozenset(
     for axis in AXES
 )
 """Columns that are read; all others are passed over."""
-_TRUTH: Final = {'true': 1, 'false': 0}
+_TRUTH: Final = {'true': '1', 'false': '0'}
 
 
 def _numbers(path: Path, name: str, cells: tuple[str, ...], start: int) -> NDArray[Any]:
     """Return a column: integers where all are, so that times of many digits stay exact."""
-    if cells[0].lower() in _TRUTH:
-        cells = tuple(str(_TRUTH.get(each.lower(), each)) for each in cells)
+    if cells[0].strip().lower() in _TRUTH:
+        cells = tuple(_TRUTH.get(each.strip().lower(), each) for each in cells)
     text = np.array(cells)
     with contextlib.suppress(ValueError, OverflowError):
         return text.astype(np.int64)
@@ -339,17 +416,41 @@ def _npz_blocks(path: Path) -> Iterator[Block]:
     # Archives that are encrypted or packed in another way: RuntimeError.
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise RecordingError(f'{path} is no NPZ file of arrays: {reason(error)}') from error
-    if len(arrays) == 1 and (only := next(iter(arrays.values()))).dtype.names:
-        arrays = {name: only[name] for name in only.dtype.names}
     units = str(arrays.pop('units', ''))
-    yield from _sliced(arrays, path.stem == 'frames', units)
+    whole = [each for each in arrays.values() if _is_table(each)]
+    columns = _split(path, whole[0]) if len(whole) == 1 else arrays
+    yield from _sliced(columns, path.stem == 'frames', units)
+
+
+def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
+    """Return whether an array holds a whole table: fields, or four columns."""
+    return bool(array.dtype.names) or (array.ndim == 2 and array.shape[1] == 4)
+
+
+def _split(path: Path, array: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the columns of an array with fields, or of one with four columns."""
+    if array.dtype.names:
+        return {name: array[name] for name in array.dtype.names}
+    rows = np.asarray(array[:])
+    begin = rows[:ROWS]
+    growing = [
+        order
+        for order in ORDERS
+        if (np.diff(begin[:, (at := order.index('t'))]) >= 0).all() and np.ptp(begin[:, at]) > 1e-3
+    ]
+    if len(growing) != 1:
+        raise RecordingError(
+            f'{path}: of the four columns of an array, {len(growing)} grow as times do',
+            remedy='save arrays named t, x, y, p, sorted by time',
+        )
+    return dict(zip(growing[0], rows.T, strict=True))
 
 
 def _sliced(columns: Any, frames: bool, units: str) -> Iterator[Block]:  # noqa: ANN401
     """Yield columns of equal length, arrays or data sets, some rows at a time."""
     named = {COLUMNS.get(key.lower(), key.lower()): each for key, each in columns.items()}
     if not any(key in named for key in TIMES):
-        yield {}, '', ', '.join(columns)
+        yield Block({}, ', '.join(columns))
         return
     count = len(next(named[key] for key in TIMES if key in named))
     used = {key: each for key, each in named.items() if np.ndim(each) and len(each) == count}
@@ -357,27 +458,33 @@ def _sliced(columns: Any, frames: bool, units: str) -> Iterator[Block]:  # noqa:
     size = FRAME_ROWS if frames or 'image' in used else ROWS
     for start in range(0, count, size):
         rows = {key: np.asarray(each[start : start + size]) for key, each in used.items()}
-        yield rows, stated[1] if stated else '', ', '.join(columns)
+        yield Block(rows, ', '.join(columns), stated[1] if stated else '')
 
 
 def _hdf5_tables(path: Path, group: str) -> Tables:
     """Return the tables of an HDF5 file: its groups; times of events count from `t_offset`."""
     file = open_hdf5(path, 'r')
     groups = {key: each for key, each in file.items() if hasattr(each, 'items')}
-    if group:
-        if group not in file or not hasattr(file[group], 'items'):
-            raise RecordingError(f'{path} has no group {group}; it has {", ".join(groups)}')
-        groups['events'] = file[group]
+    if group or 'events' not in groups:
+        found = _event_groups(file)
+        if group not in file and len(found) != 1:
+            raise RecordingError(
+                f'{path} has no group {group or "events"}; events are in'
+                f' {", ".join(found) or "none"}',
+                remedy='choose the group of the events with --events',
+            )
+        groups['events'] = file[group or found[0]]
     offset = np.asarray(file['t_offset'][()] if 't_offset' in file else 0)
 
     def blocks(name: str) -> Iterator[Block]:
+        table = groups[name]
         try:
-            for rows, stated, headings in _sliced(
-                groups[name], name == 'frames', str(groups[name].attrs.get('units', ''))
-            ):
-                if name == 'events' and 't' in rows:
-                    rows['t'] = _signed(rows['t']) + _signed(offset)
-                yield rows, stated, headings
+            units = str(table.attrs.get('units', ''))
+            columns = table if hasattr(table, 'items') else _split(path, table)
+            for block in _sliced(columns, name == 'frames', units):
+                if name == 'events' and 't' in block.rows:
+                    block.rows['t'] = _signed(block.rows['t']) + _signed(offset)
+                yield block
         except OSError as error:
             raise RecordingError(
                 f'{path}, {name}: {reason(error)}',
@@ -385,6 +492,19 @@ def _hdf5_tables(path: Path, group: str) -> Tables:
             ) from error
 
     return Tables(path, {name: partial(blocks, name) for name in groups}, file.close)
+
+
+def _event_groups(file: Any) -> list[str]:  # noqa: ANN401
+    """Return the groups and data sets of an HDF5 file with all columns of events."""
+    found = []
+
+    def visit(name: str, each: Any) -> None:  # noqa: ANN401
+        keys = {COLUMNS.get(key.lower(), key.lower()) for key in getattr(each, 'keys', list)()}
+        if keys.issuperset(NEEDED['events']) or (hasattr(each, 'dtype') and _is_table(each)):
+            found.append(name)
+
+    file.visititems(visit)
+    return found
 
 
 def _signed(numbers: NDArray[Any]) -> NDArray[Any]:

@@ -21,7 +21,6 @@ from mixtac_core.recordings.messages import left_aligned
 from mixtac_core.recordings.recording import RecordingError
 
 HDF5_FILE = 'recording.h5'
-HDF5_SUFFIXES = frozenset({'.h5', '.hdf5'})
 AXES = 'xyz'
 """Names of the columns of a vector in CSV, after the name of the vector and `_`."""
 CAMERA_TIME = 'us, camera clock'

@@ -19,6 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 from mixtac_core.events.codec import encode
 from mixtac_core.events.packets import EncodedPacket
 from mixtac_core.recordings.recording import RecordingError
+from mixtac_core.recordings.summary import summarise
 
 
 @pytest.mark.parametrize('encoding', ['libcaer_cmp', 'libcaer'])
@@ -294,9 +295,30 @@ def test_a_bag_without_anything_to_play_is_refused(tmp_path):
         read(tmp_path / 'bag')
 
 
+def test_images_without_a_stamp_are_left_out_and_counted(tmp_path):
+    pixels = np.zeros((4, 4), np.uint8)
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events())
+        for t_us in (0, 0, START_US + 5):
+            bag.image(pixels, t_us, START_US + 5, encoding='mono8')
+    found = read(tmp_path / 'bag')
+    assert (found.frame_times, found.counters.frames_without_time) == ([START_US + 5], 2)
+    (warning,) = summarise(tmp_path / 'bag').warnings
+    assert warning.startswith('/mixtac/image_raw: 2 ')
+
+
+def test_images_that_all_lack_a_stamp_are_no_frames(tmp_path):
+    events = some_events()
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(events)
+        bag.image(np.zeros((4, 4), np.uint8), 0, START_US, encoding='mono8')
+    found = read(tmp_path / 'bag')
+    assert_equal(found.events, events)
+    assert (found.frames, '/mixtac/image_raw' in found.info.damage) == ([], True)
+
+
 def test_what_is_no_recording_is_refused_by_its_format(tmp_path):
     begins = {
-        '#!AER-DAT2.0': 'AEDAT 2',
         '#!AER-DAT3.1': 'AEDAT 3',
         'version https://git-lfs.github.com/spec/v1': 'git-lfs',
         'Event Stream': 'Event Stream',

@@ -10,6 +10,8 @@ from recording_samples import START_US, assert_equal, read, some_events
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from mixtac_core.events.codec import encode
+from mixtac_core.node.share import share
 from mixtac_core.recordings.bag_writer import repair
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS
 from mixtac_core.recordings.importing import import_recording
@@ -87,6 +89,22 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     inside = EVENTS[(EVENTS.x < 100) & (EVENTS.y < 100)]
     assert_equal(read(path).events, inside)
     assert summarise(path).events['/dvs/events'].outside == 600 - len(inside)
+
+
+def test_event_packets_of_ros_1_are_read(tmp_path):
+    types, kind = get_typestore(Stores.ROS1_NOETIC), 'event_camera_msgs/msg/EventPacket'
+    text = (share('event_camera_msgs') / 'msg' / 'EventPacket.msg').read_text()
+    types.register(get_types_from_msg(text, kind))
+    encoded, until_us = encode(EVENTS, 'libcaer_cmp'), int(EVENTS.t[-1])
+    time = types.types['builtin_interfaces/msg/Time'](until_us // 10**6, until_us % 10**6 * 1000)
+    header = types.types['std_msgs/msg/Header'](1, time, '')
+    fields = (260, 346, 1, encoded.time_base, 'libcaer_cmp', False, encoded.payload)
+    with Writer(tmp_path / 'x.bag') as writer:
+        topic = writer.add_connection('/camera/events', kind, typestore=types)
+        data = types.serialize_ros1(types.types[kind](header, *fields), kind)
+        writer.write(topic, 1000 * until_us, data)
+    assert_equal(read(tmp_path / 'x.bag').events, EVENTS)
+    assert summarise(tmp_path / 'x.bag').events['/camera/events'].events == len(EVENTS)
 
 
 @pytest.mark.parametrize('keep', [0.1, 0.9])

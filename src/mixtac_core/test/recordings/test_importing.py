@@ -17,8 +17,9 @@ from mixtac_core.node.files import FileError
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag import BagFile, find_bags, fit_path
 from mixtac_core.recordings.dataset import folder_facts
-from mixtac_core.recordings.importing import TableOptions, import_recording
+from mixtac_core.recordings.importing import import_recording
 from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError, Selection
+from mixtac_core.recordings.tables import TableOptions
 
 EVENTS = some_events(count=2000, length_us=90_000)
 COLUMNS = {'t': EVENTS.t, 'x': EVENTS.x, 'y': EVENTS.y, 'p': EVENTS.polarity}
@@ -48,6 +49,7 @@ def table(path: Path, heading: str, *columns: np.ndarray, separator: str = ',') 
         ('"t [us, camera clock]",x,y,polarity\n', 's', 1, ','),
         ('# events of a tool\n# t x y p\n', 'ns', 1000, ' '),
         ('T,extra,X,Y,P\n', '', 1, ','),
+        ('346 260\n', 'us', 1, ' '),
     ],
 )
 def test_events_of_text_tables(tmp_path: Path, heading, unit, scale, separator):
@@ -89,6 +91,7 @@ def test_seconds_with_dust_behind_the_microsecond(tmp_path: Path):
         ('t,t,x,y,p\n5,2,3,0,0\n', 't, t, x'),
         ('t;x;y;p\n5;2;3;0\n', 't;x;y;p'),
         ('1,2,3\n', '3 columns'),
+        ('7,2,1,5\n3,2,1,6\n', 'first column does not grow'),
     ],
 )
 def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str, named: str):
@@ -185,8 +188,8 @@ def test_a_rate_that_no_camera_has_is_a_warning(tmp_path: Path):
     options = TableOptions(time_unit='s')
     path = events_npz(tmp_path, t=np.arange(len(EVENTS)))
     counts = import_recording(path, tmp_path / 'bag', options=options)
-    assert counts.length_us == 1_000_000 * (len(EVENTS) - 1)
-    assert len(counts.warnings()) == 1
+    assert (counts.length_us, counts.grid_us) == (1_000_000 * (len(EVENTS) - 1), 1_000_000)
+    assert sum('events per second' in each for each in counts.warnings()) == 1
 
 
 def test_the_clock_fit_of_an_earlier_bag_is_not_taken_over(tmp_path: Path):
@@ -205,13 +208,34 @@ def test_what_is_no_npz_is_refused(tmp_path: Path, content):
         import_recording(path, tmp_path / 'bag')
 
 
-def test_a_structured_array_is_a_table(tmp_path: Path):
-    rows = np.zeros(len(EVENTS), [('x', 'u2'), ('y', 'u2'), ('p', 'i2'), ('t', 'i8')])
-    for name, column in COLUMNS.items():
-        rows[name] = column
-    np.savez(tmp_path / 'events.npz', events=rows)
+@pytest.mark.parametrize('order', ['txyp', 'xytp', 'xypt', 'fields'])
+def test_one_array_is_a_table(tmp_path: Path, order: str):
+    if order == 'fields':
+        rows = np.zeros(len(EVENTS), [('x', 'u2'), ('y', 'u2'), ('p', '?'), ('t', 'i8')])
+        for name, column in COLUMNS.items():
+            rows[name] = column
+    else:
+        rows = np.stack([COLUMNS[name] for name in order], axis=1)
+    np.savez(tmp_path / 'events.npz', any_name=rows)
     import_recording(tmp_path / 'events.npz', tmp_path / 'bag')
     assert_equal(read(tmp_path / 'bag').events, EVENTS)
+
+
+def test_an_array_without_a_column_of_times_is_refused(tmp_path: Path):
+    np.savez(tmp_path / 'events.npz', np.stack([EVENTS.x, EVENTS.y, EVENTS.y, EVENTS.x], 1))
+    with pytest.raises(RecordingError) as caught:
+        import_recording(tmp_path / 'events.npz', tmp_path / 'bag')
+    assert 'four columns' in caught.value.message
+
+
+def test_a_file_that_states_its_size_is_no_warning(tmp_path: Path):
+    columns = (EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.polarity)
+    for number, heading in enumerate(('', '640 480\n')):
+        path = table(tmp_path / f'{number}.txt', heading, *columns, separator=' ')
+        counts = import_recording(path, tmp_path / f'bag{number}')
+        assert counts.info.size_known == bool(heading)
+        assert len(counts.warnings()) == 1 - number
+        assert (counts.info.width, counts.grid_us) == ((346, 640)[number], 1)
 
 
 @pytest.mark.parametrize('offset', [np.int64(3_000_000), np.uint64(3_000_000), np.float64(3e6)])
@@ -227,17 +251,25 @@ def test_event_times_of_hdf5_may_be_fractions(tmp_path: Path, offset: np.generic
     assert np.array_equal(read(tmp_path / 'bag').events.t, expected)
 
 
-def test_a_group_of_hdf5_is_chosen(tmp_path: Path):
+@pytest.mark.parametrize('kind', ['columns', 'array'])
+def test_a_group_of_hdf5_is_found_or_chosen(tmp_path: Path, kind: str):
     h5py = pytest.importorskip('h5py', reason='pip install h5py')
     with h5py.File(tmp_path / 'x.h5', 'x') as file:
-        for name, column in COLUMNS.items():
-            file[f'davis/left/{name}s'] = column
+        if kind == 'array':
+            file['davis/left/events'] = np.stack([COLUMNS[name] for name in 'xytp'], axis=1)
+        else:
+            for name, column in COLUMNS.items():
+                file[f'davis/left/events/{name}s'] = column
+    import_recording(tmp_path / 'x.h5', tmp_path / 'one')
+    with h5py.File(tmp_path / 'x.h5', 'a') as file:
+        file['davis/right/events'] = np.zeros((3, 4))
     with pytest.raises(RecordingError) as caught:
         import_recording(tmp_path / 'x.h5', tmp_path / 'bag')
-    assert 'davis' in caught.value.message
-    selection = Selection(events='davis/left')
+    assert 'davis/left/events, davis/right/events' in caught.value.message
+    selection = Selection(events='davis/left/events')
     import_recording(tmp_path / 'x.h5', tmp_path / 'bag', selection=selection)
-    assert_equal(read(tmp_path / 'bag').events, EVENTS)
+    for name in ('one', 'bag'):
+        assert_equal(read(tmp_path / name).events, EVENTS)
 
 
 def frames_npz(folder: Path, image: np.ndarray) -> Path:

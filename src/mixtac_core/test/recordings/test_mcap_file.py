@@ -155,13 +155,11 @@ def test_a_repaired_bag_is_like_the_one_before_the_cut(mcap, tmp_path):
         repair(cut, tmp_path / 'repaired')
 
 
-@pytest.mark.parametrize('text', ['float64 ?', ''])
-def test_a_repaired_bag_is_read_by_others_whatever_its_definitions_were(sqlite, tmp_path, text):
+def test_a_repaired_bag_is_read_by_others_without_definitions_of_its_own(sqlite, tmp_path):
     path = tmp_path / 'bag.db3'
     shutil.copy(sqlite[0], path)
     with sqlite3.connect(path) as database:
-        change = 'UPDATE message_definitions SET encoded_message_definition = ?'
-        database.execute(change, (text,))
+        database.execute("UPDATE message_definitions SET encoded_message_definition = ''")
     repair(path, tmp_path / 'repaired')
     with AnyReader([tmp_path / 'repaired']) as bag:
         found = [bag.deserialize(data, each.msgtype) for each, _, data in bag.messages()]
