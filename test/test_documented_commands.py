@@ -23,7 +23,10 @@ from mixtac_slip_control.parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
-    *(ROOT / name for name in ('README.md', 'CONTRIBUTING.md', 'models/README.md')),
+    *(
+        ROOT / name
+        for name in ('README.md', 'CONTRIBUTING.md', 'models/README.md', 'examples/README.md')
+    ),
     *sorted((ROOT / 'docs').glob('*.md')),
 ]
 FENCE = re.compile(r'^( *)```(?:bash|sh|shell|console)\n(.*?)^\1```', re.DOTALL | re.MULTILINE)
