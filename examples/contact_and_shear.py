@@ -22,7 +22,7 @@ else:
 model = read_model(find_model('fger_small'))
 estimator = ForceEstimator(open_estimator(model), assume_free=True, contact=ContactSettings())
 recording = open_recording(bag)
-for piece in recording.pieces(recording.info.start_us):
+for piece in recording.pieces():
     for frame in piece.frames:
         estimator.push_frame(left_aligned(frame.image), frame.middle_us)
     for each in estimator.push_events(piece.events, piece.until_us) if piece.advances else ():

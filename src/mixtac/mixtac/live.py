@@ -46,8 +46,9 @@ def show(
                 due_s += PERIOD_S if terminal else LINE_PERIOD_S
                 shown = {}
                 for name, value in values().items():
-                    shown[name] = value
-                    if isinstance(value, float):
+                    if isinstance(value, str):
+                        shown[name] = value
+                    else:
                         # Nothing is drawn where there is no force.
                         histories[name].append(0.0 if math.isnan(value) else value)
                         shown[name] = f'{value:7.3f} N'

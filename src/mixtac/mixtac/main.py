@@ -114,6 +114,7 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
     panel = SHOWN_IN.get(name)
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=helped)
     found = load(target) if isinstance(target, str) else target
+    command: Any
     if callable(found):
         app.command(name, rich_help_panel=panel, context_settings=helped)(found)
         command = get_command(app)

@@ -504,8 +504,8 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     random, reference = np.random.default_rng(0), estimator.reference
     for index in range(2 * (1 if reference is None else reference.frames)):
         start_us = WARM_UP_START_US + WARM_UP_STEP_US * index
-        image = random.integers(99, 102, size[::-1]).astype((np.uint8, np.uint16)[index % 2])
-        feed.push_frame(image, start_us)
+        noise = random.integers(99, 102, size[::-1])
+        feed.push_frame(noise.astype(np.uint16) if index % 2 else noise.astype(np.uint8), start_us)
         t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
         zeros = np.zeros(len(t_us), np.uint16)
         events = Events(t_us, zeros, zeros, t_us % 200 == 0)

@@ -260,7 +260,7 @@ def slip(context: Context) -> Outcome:
     """Objects that are knocked, in closed loop."""
     grasped = context.sizes.grasps
     plans = [
-        TrialPlan(name, FIRST_SEED + 1000 * at + k, margin=MARGIN, preset=PRESET)  # type: ignore[arg-type]
+        TrialPlan(name, FIRST_SEED + 1000 * at + k, margin=MARGIN, preset=PRESET)
         for at, (name, count) in enumerate(grasped.items())
         for k in range(count)
     ]
