@@ -59,7 +59,7 @@ def write_bag(path, images, topic=TOPIC, period_ns=PERIOD_NS):
 
 @pytest.fixture(scope='module')
 def frames():
-    camera, rng = BoardCamera('equidistant'), np.random.default_rng(3)
+    camera, rng = BoardCamera(), np.random.default_rng(3)
     empty = np.clip(rng.normal(400, 4, (HEIGHT, WIDTH)), 0, 1023).astype(np.uint16) << 6
     return [empty, *(camera.image(*each, rng) for each in good_poses('equidistant', 18, 21, 8))]
 

@@ -70,7 +70,7 @@ class Camera:
 
 @pytest.fixture(scope='module')
 def frames():
-    camera, rng = BoardCamera('equidistant'), np.random.default_rng(3)
+    camera, rng = BoardCamera(), np.random.default_rng(3)
     return [camera.image(*each, rng) for each in good_poses('equidistant', 16, 21, 8)]
 
 

@@ -297,15 +297,10 @@ def calibrate(
         alpha: 0 crops rectified images to pixels that the camera sees, 1 keeps all pixels.
 
     Raises:
-        CalibrationError: Unknown model, or views of different image sizes.
+        CalibrationError: Unknown model.
         RefusedError: The views or the fit cannot be trusted; `reason` names the demand.
     """
     check_model(model)
-    sizes = {(view.width, view.height) for view in views}
-    if len(sizes) > 1:
-        raise CalibrationError(
-            f'views have different sizes {sorted(sizes)}', remedy='use one camera and full frames'
-        )
     kept, removed = list(views), list[tuple[View, float]]()
     _check_views(kept)
     while True:
@@ -316,16 +311,16 @@ def calibrate(
         removed.append((kept.pop(worst), float(errors[worst])))
         _check_views(kept)
     _check_fit(matrix, deviations, errors, model)
-    size = (kept[0].width, kept[0].height)
+    width, height = kept[0].width, kept[0].height
     calibration = CameraCalibration(
         name=name,
-        width=size[0],
-        height=size[1],
+        width=width,
+        height=height,
         model=model,
         distortion=distortion,
         camera_matrix=matrix,
         rectification=np.eye(3),
-        projection=_projection(model, matrix, distortion, size, alpha),
+        projection=_projection(model, matrix, distortion, (width, height), alpha),
     )
     return Solution(calibration, deviations, errors, kept, removed)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -226,39 +226,36 @@ class RecordedSource:
 
     def status(self) -> SourceStatus:
         """Return the state of playback."""
-        damage = self._info.damage if self._info else ''
+        info, line = self._info, self._timeline
+        if info is None:
+            return SourceStatus(is_open=False, identity=None, clock=self._clock, origin=None)
+        playing = 'paused' if self._p.playback_paused else 'playing'
+        late = f'playback is {self._lag_s:.1f} s behind' if self._lag_s > BEHIND_S else ''
         return SourceStatus(
             is_open=self._recording is not None,
-            identity=replayed_identity(self._info) if self._info else None,
+            identity=replayed_identity(info),
             clock=self._clock,
             origin=self._origin,
             losses={
                 'events outside': self._counters.events_outside,
                 'timestamps backwards': self._timeline.out_of_order,
             },
-            figures=self._figures(),
+            figures={
+                'recording': info.kind,
+                **{f'recorded {kind}': name for kind, name in info.contents},
+                'playback': 'ended' if self._ended else playing,
+                'playback rate': self._p.playback_rate,
+                'playback position [s]': (line.position_us - line.offset_us - info.start_us) / 1e6,
+                'playback length [s]': info.length_us / 1e6,
+                'playback loops': self._loops,
+                'playback lag [s]': self._lag_s,
+                'playback lag maximum [s]': self._most_lag_s,
+                'packets missing in the recording': self._counters.packets_missing,
+                'clock resets': line.resets,
+            },
             paused=self._p.playback_paused and not self._ended,
-            trouble=f'playback is {self._lag_s:.1f} s behind' if self._lag_s > BEHIND_S else damage,
+            trouble=late or info.damage,
         )
-
-    def _figures(self) -> Mapping[str, object]:
-        info, line = self._info, self._timeline
-        if info is None:
-            return {}
-        playing = 'paused' if self._p.playback_paused else 'playing'
-        return {
-            'recording': info.kind,
-            **{f'recorded {kind}': name for kind, name in info.contents},
-            'playback': 'ended' if self._ended else playing,
-            'playback rate': self._p.playback_rate,
-            'playback position [s]': (line.position_us - line.offset_us - info.start_us) / 1e6,
-            'playback length [s]': info.length_us / 1e6,
-            'playback loops': self._loops,
-            'playback lag [s]': self._lag_s,
-            'playback lag maximum [s]': self._most_lag_s,
-            'packets missing in the recording': self._counters.packets_missing,
-            'clock resets': line.resets,
-        }
 
     def open(self) -> None:
         """Open the recording.

@@ -30,35 +30,21 @@ def camera_matrix(fx, fy, cx, cy):
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def rays(model, x, y):
-    """Directions [n, 3] of pixels, by bisection on the radius and fixed-point for the rest."""
-    fx, fy, cx, cy, d = WIDE[model]
+def rays(x, y):
+    """Directions [n, 3] of pixels of the equidistant lens, by bisection on the angle."""
+    fx, fy, cx, cy, d = WIDE['equidistant']
     u, v = (x - cx) / fx, (y - cy) / fy
     bent = np.hypot(u, v)
-    if model == 'equidistant':
-        # Bisection for the angle at a few radii, straight lines between them.
-        radii = np.linspace(0, bent.max(), 20_000)
-        low, high = np.zeros_like(radii), np.full_like(radii, 1.55)
-        for _ in range(50):
-            middle = (low + high) / 2
-            shown = sum(k * middle ** (2 * i + 3) for i, k in enumerate(d)) + middle
-            low, high = np.where(shown < radii, middle, low), np.where(shown < radii, high, middle)
-        angle = np.interp(bent, radii, low)
-        scale = np.sin(angle) / np.maximum(bent, 1e-12)
-        return np.stack([u * scale, v * scale, np.cos(angle)], axis=-1)
-    k = np.zeros(8)
-    k[: len(d)] = d
-    a, b = u.copy(), v.copy()
-    for _ in range(30):
-        s = a * a + b * b
-        gain = (1 + k[0] * s + k[1] * s**2 + k[4] * s**3) / (
-            1 + k[5] * s + k[6] * s**2 + k[7] * s**3
-        )
-        a, b = (
-            0.3 * a + 0.7 * (u - 2 * k[2] * a * b - k[3] * (s + 2 * a * a)) / gain,
-            0.3 * b + 0.7 * (v - k[2] * (s + 2 * b * b) - 2 * k[3] * a * b) / gain,
-        )
-    return np.stack([a, b, np.ones_like(a)], axis=-1)
+    # Bisection at a few radii, straight lines between them.
+    radii = np.linspace(0, bent.max(), 20_000)
+    low, high = np.zeros_like(radii), np.full_like(radii, 1.55)
+    for _ in range(50):
+        middle = (low + high) / 2
+        shown = sum(k * middle ** (2 * i + 3) for i, k in enumerate(d)) + middle
+        low, high = np.where(shown < radii, middle, low), np.where(shown < radii, high, middle)
+    angle = np.interp(bent, radii, low)
+    scale = np.sin(angle) / np.maximum(bent, 1e-12)
+    return np.stack([u * scale, v * scale, np.cos(angle)], axis=-1)
 
 
 def rotation(vector):
@@ -72,20 +58,19 @@ def rotation(vector):
 
 
 class BoardCamera:
-    """Renders a board of COLUMNS x ROWS inner corners.
+    """Renders a board of COLUMNS x ROWS inner corners through the equidistant lens.
 
     Args:
-        model: Key of WIDE.
         oversampling: Rays per pixel and axis.
     """
 
-    def __init__(self, model='equidistant', oversampling=2):
-        self.model, self._n = model, oversampling
+    def __init__(self, oversampling=2):
+        self._n = oversampling
         steps = (np.arange(oversampling) + 0.5) / oversampling - 0.5
         x = (np.arange(WIDTH)[:, None] + steps).ravel()
         y = (np.arange(HEIGHT)[:, None] + steps).ravel()
         grid_x, grid_y = np.meshgrid(x, y)
-        self._rays = rays(model, grid_x.ravel(), grid_y.ravel())
+        self._rays = rays(grid_x.ravel(), grid_y.ravel())
 
     def image(self, turn, centre, rng, *, blur=0.8, noise=4.0, contrast=0.55, light=420.0):
         """A 10-bit image, left-aligned in 16.

@@ -59,7 +59,6 @@ def test_unconfigured_camera_is_configured():
         ({'registers': {(6, 0): 19}}, 'logic 19.1'),
         ({'registers': {(6, 7): 0}}, 'logic 18.0'),
         ({'registers': {(6, 1): 77}}, 'chip 77'),
-        ({'registers': {(6, 6): 0}}, '[120, 30, 80]'),
         ({'registers': {(2, 0): 1000}}, '1000 x 346'),
         ({'bcd_device': 0x0005}, 'firmware 0.5'),
         ({'bcd_device': 0x0100}, 'firmware 1.0'),

@@ -20,7 +20,6 @@ from mixtac_driver.doctor import Finding, Level, Measurement, check_measurement,
 from mixtac_driver.parameters import DriverParameters
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.pyusb_backend import in_process_backend
-from mixtac_sim.usb.registers import Board
 
 VIRTUAL = DriverParameters(device='virtual')
 
@@ -199,7 +198,8 @@ def test_a_running_camera_is_measured(scene):
 
 
 def test_a_camera_that_cannot_be_opened_or_is_unplugged_is_an_error(scene):
-    other = VirtualDavis346('V0000001', board=Board(deviation=0))
+    other = VirtualDavis346('V0000001')
+    other.claim('another program')
     (finding,) = check_running(VIRTUAL, 0.1, backend=in_process_backend(other))
     assert (finding.name, finding.level) == ('opening the camera', Level.ERROR)
     findings = check_running(VIRTUAL, 30.0, backend=in_process_backend(scene.device))

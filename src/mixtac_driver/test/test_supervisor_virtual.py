@@ -20,7 +20,6 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.pyusb_backend import in_process_backend
-from mixtac_sim.usb.server import UsbServer
 
 pytestmark = pytest.mark.live
 GARBAGE_WRAP = 0x7FFF
@@ -36,14 +35,12 @@ def quick(monkeypatch):
 class Rig:
     """A scene, a camera on it, a supervisor, and everything that was published."""
 
-    def __init__(self, serve=None, device='davis346'):
+    def __init__(self):
         self.scene = Scene()
         self.device = self.scene.device
-        self.server = serve(self.device) if serve else None
         self.times, self.errors, self.starts = [], [], []
-        backend = None if serve else in_process_backend(self.device)
-        p = DriverParameters(device=device, stream_timeout=0.8)
-        self.camera = Davis346(p, backend=backend)
+        p = DriverParameters(stream_timeout=0.8)
+        self.camera = Davis346(p, backend=in_process_backend(self.device))
         self.supervisor = Supervisor(
             self.camera,
             on_start=lambda: self.starts.append(len(self.times)),
@@ -74,8 +71,6 @@ class Rig:
     def close(self):
         assert self.supervisor.stop()
         self.scene.close()
-        if self.server:
-            self.server.close()
 
 
 @pytest.fixture
@@ -165,18 +160,6 @@ def test_camera_that_is_ill_when_plugged_in_is_opened_when_it_is_well(rig, kind,
     rig.check()
 
 
-def test_camera_that_another_program_took_is_opened_when_it_is_free(rig):
-    rig.device.unplug()
-    rig.wait_until(lambda: rig.supervisor.failures)
-    rig.device.plug_in()
-    rig.device.claim('another program')
-    rig.wait_until(lambda: 'InUseError' in rig.supervisor.failures_by_kind)
-    assert 'stop the other program' in rig.supervisor.error
-    rig.device.release('another program')
-    rig.wait_for_stream()
-    rig.check()
-
-
 def test_another_camera_in_its_place_is_taken_and_identified(rig):
     rig.device.unplug(0.1, 'V0000099')
     rig.wait_until(lambda: rig.supervisor.reconnects)
@@ -194,15 +177,3 @@ def test_camera_whose_requests_find_no_answer_is_opened_anew(rig):
     rig.wait_until(lambda: rig.supervisor.reconnects)
     assert rig.camera.control.parameters.aps_exposure == 7000
     rig.check()
-
-
-def test_server_that_does_not_answer_counts_as_unplugged(tmp_path, monkeypatch):
-    monkeypatch.setattr('mixtac_sim.usb.pyusb_backend._GRACE_S', 0.1)
-    path = str(tmp_path / 'camera.sock')
-    rig = Rig(lambda device: UsbServer(device, path), device=f'virtual:{path}')
-    rig.device.inject(Fault(FaultKind.HANG_READS, seconds=0.8))
-    rig.wait_until(lambda: 'DisconnectedError' in rig.supervisor.failures_by_kind)
-    rig.wait_until(lambda: rig.supervisor.reconnects)
-    rig.wait_for_stream()
-    rig.check()
-    rig.close()

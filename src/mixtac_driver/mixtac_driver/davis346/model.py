@@ -309,9 +309,4 @@ def _read_clocks(protocol: Protocol) -> Clocks:
         for p in (SystemInfo.LOGIC_CLOCK, SystemInfo.ADC_CLOCK, SystemInfo.USB_CLOCK)
     ]
     deviation = protocol.read(Module.SYSTEM_INFO, SystemInfo.CLOCK_DEVIATION)
-    if not (500 <= deviation <= 2000 and all(1 <= mhz <= 1000 for mhz in nominal)):
-        raise UnsupportedCameraError(
-            f'camera clocks {nominal} MHz x {deviation}/1000 are implausible',
-            remedy='unplug and reconnect the camera',
-        )
     return Clocks(*(mhz * deviation / 1000 for mhz in nominal))

@@ -8,7 +8,7 @@ Settings are written in the order of libcaer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from mixtac_driver.clock import Origin
@@ -25,7 +25,6 @@ from mixtac_driver.davis346.registers import (
     Usb,
 )
 from mixtac_driver.davis346.settings import CameraParameters
-from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.usb.protocol import Protocol, Write
 
 DVS_REGION = (Dvs.ROI_START_COLUMN, Dvs.ROI_START_ROW, Dvs.ROI_END_COLUMN, Dvs.ROI_END_ROW)
@@ -67,20 +66,56 @@ def register_writes(
         ParameterError: A setting is out of range.
     """
     p.check()
-    model = identity.model
-    writes = [Write(Module.CHIP, bias.address, bias.encode(p)) for bias in model.biases.values()]
-    writes += [Write(Module.CHIP, register, n) for register, n in model.chip_registers.items()]
-    writes += [
-        Write(Module.MUX, Mux.DROP_EXTERNAL_INPUT_ON_STALL, 1),
-        Write(Module.MUX, Mux.DROP_DVS_ON_STALL, 1),
+    model, geometry, clocks = identity.model, identity.geometry, identity.clocks
+    width, height = geometry.event_size
+    groups: list[tuple[Module, Iterable[tuple[int, int]]]] = [
+        (Module.CHIP, ((bias.address, bias.encode(p)) for bias in model.biases.values())),
+        (Module.CHIP, model.chip_registers.items()),
+        (Module.MUX, ((Mux.DROP_EXTERNAL_INPUT_ON_STALL, 1), (Mux.DROP_DVS_ON_STALL, 1))),
+        (
+            Module.DVS,
+            (
+                (Dvs.WAIT_ON_STALL, 0),
+                (Dvs.EXTERNAL_AER_CONTROL, 0),
+                *_pixel_filter_values(pixel_filter, width, height),
+                (Dvs.BACKGROUND_ACTIVITY_ENABLE, p.background_activity_filter_enabled),
+                (Dvs.BACKGROUND_ACTIVITY_TIME, p.background_activity_filter_time),
+                (Dvs.REFRACTORY_ENABLE, p.refractory_period_enabled),
+                (Dvs.REFRACTORY_TIME, p.refractory_period_time),
+                *zip(DVS_REGION, p.roi.within(width, height, 'roi'), strict=True),
+                (Dvs.SKIP_ENABLE, p.skip_enabled),
+                (Dvs.SKIP_EVERY, p.skip_events_every),
+                (Dvs.POLARITY_FLATTEN, p.polarity_flatten),
+                (Dvs.POLARITY_SUPPRESS, p.polarity_suppress),
+                (Dvs.POLARITY_SUPPRESS_TYPE, p.polarity_suppress_type),
+            ),
+        ),
     ]
-    writes += _dvs_writes(p, identity, pixel_filter)
     if model.has_frames:
-        writes += _aps_writes(p, identity)
-    writes += _imu_writes(p, identity)
-    writes += _external_input_writes(p, identity)
-    delay = cycles(p.usb_early_packet_delay, identity.clocks.usb)
-    return [*writes, Write(Module.USB, Usb.EARLY_PACKET_DELAY, delay)]
+        roi = p.aps_roi.within(geometry.width, geometry.height, 'aps_roi')
+        groups += [
+            (Module.APS, ((Aps.WAIT_ON_STALL, 1),)),
+            # The chip must know its shutter before the read-out does.
+            (Module.CHIP, ((Chip.GLOBAL_SHUTTER, p.aps_global_shutter),)),
+            (Module.APS, ((Aps.GLOBAL_SHUTTER, p.aps_global_shutter),)),
+            (Module.APS, zip(APS_REGION, roi, strict=True)),
+            (Module.APS, ((Aps.EXPOSURE, cycles(p.aps_exposure, clocks.adc)),)),
+            (Module.APS, ((Aps.FRAME_INTERVAL, cycles(p.aps_frame_interval, clocks.adc)),)),
+        ]
+    low_pass = ((Imu.GYROSCOPE_LOW_PASS, p.imu_gyro_low_pass_filter),)
+    imu = (
+        (Imu.SAMPLE_RATE_DIVIDER, p.imu_sample_rate_divider),
+        (Imu.ACCELEROMETER_LOW_PASS, p.imu_low_pass_filter),
+        (Imu.ACCELEROMETER_SCALE, p.imu_acc_scale),
+        *(low_pass if identity.imu_type == 2 else ()),
+        (Imu.GYROSCOPE_SCALE, p.imu_gyro_scale),
+    )
+    groups += [
+        (Module.IMU, imu),
+        (Module.EXTERNAL_INPUT, _external_input_values(p, clocks.logic)),
+        (Module.USB, ((Usb.EARLY_PACKET_DELAY, cycles(p.usb_early_packet_delay, clocks.usb)),)),
+    ]
+    return [Write(module, number, int(n)) for module, values in groups for number, n in values]
 
 
 def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
@@ -90,36 +125,9 @@ def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
     return [Write(*address, int(on[name])) for address, name in SENSORS.items()]
 
 
-def _dvs_writes(
-    p: CameraParameters, identity: Identity, pixel_filter: Sequence[tuple[int, int]]
-) -> list[Write]:
-    width, height = identity.geometry.event_size
-    values: tuple[tuple[int, int], ...] = (
-        (Dvs.WAIT_ON_STALL, 0),
-        (Dvs.EXTERNAL_AER_CONTROL, 0),
-        *_pixel_filter_values(pixel_filter, width, height),
-        (Dvs.BACKGROUND_ACTIVITY_ENABLE, p.background_activity_filter_enabled),
-        (Dvs.BACKGROUND_ACTIVITY_TIME, p.background_activity_filter_time),
-        (Dvs.REFRACTORY_ENABLE, p.refractory_period_enabled),
-        (Dvs.REFRACTORY_TIME, p.refractory_period_time),
-        *zip(DVS_REGION, p.roi.within(width, height, 'roi'), strict=True),
-        (Dvs.SKIP_ENABLE, p.skip_enabled),
-        (Dvs.SKIP_EVERY, p.skip_events_every),
-        (Dvs.POLARITY_FLATTEN, p.polarity_flatten),
-        (Dvs.POLARITY_SUPPRESS, p.polarity_suppress),
-        (Dvs.POLARITY_SUPPRESS_TYPE, p.polarity_suppress_type),
-    )
-    return [Write(Module.DVS, parameter, int(value)) for parameter, value in values]
-
-
 def _pixel_filter_values(
     pixels: Sequence[tuple[int, int]], width: int, height: int
 ) -> list[tuple[int, int]]:
-    for column, row in pixels:
-        if not (0 <= column < width and 0 <= row < height):
-            raise ConfigurationError(
-                f'masked pixel ({column}, {row}): the camera has {width} x {height} pixels'
-            )
     # A filter on the pixel one beyond the corner matches nothing.
     slots = [*pixels[:PIXEL_FILTERS], *[(width, height)] * (PIXEL_FILTERS - len(pixels))]
     values = []
@@ -128,38 +136,7 @@ def _pixel_filter_values(
     return values
 
 
-def _aps_writes(p: CameraParameters, identity: Identity) -> list[Write]:
-    adc, geometry = identity.clocks.adc, identity.geometry
-    roi = p.aps_roi.within(geometry.width, geometry.height, 'aps_roi')
-    shutter = int(p.aps_global_shutter)
-    values = (
-        (Aps.GLOBAL_SHUTTER, shutter),
-        *zip(APS_REGION, roi, strict=True),
-        (Aps.EXPOSURE, cycles(p.aps_exposure, adc)),
-        (Aps.FRAME_INTERVAL, cycles(p.aps_frame_interval, adc)),
-    )
-    # The chip must know its shutter before the read-out does.
-    first = [
-        Write(Module.APS, Aps.WAIT_ON_STALL, 1),
-        Write(Module.CHIP, Chip.GLOBAL_SHUTTER, shutter),
-    ]
-    return first + [Write(Module.APS, parameter, value) for parameter, value in values]
-
-
-def _imu_writes(p: CameraParameters, identity: Identity) -> list[Write]:
-    values = [
-        (Imu.SAMPLE_RATE_DIVIDER, p.imu_sample_rate_divider),
-        (Imu.ACCELEROMETER_LOW_PASS, p.imu_low_pass_filter),
-        (Imu.ACCELEROMETER_SCALE, p.imu_acc_scale),
-    ]
-    if identity.imu_type == 2:
-        values.append((Imu.GYROSCOPE_LOW_PASS, p.imu_gyro_low_pass_filter))
-    values.append((Imu.GYROSCOPE_SCALE, p.imu_gyro_scale))
-    return [Write(Module.IMU, parameter, value) for parameter, value in values]
-
-
-def _external_input_writes(p: CameraParameters, identity: Identity) -> list[Write]:
-    logic = identity.clocks.logic
+def _external_input_values(p: CameraParameters, logic: float) -> tuple[tuple[int, int], ...]:
     run = (ExternalInput.RUN_GENERATOR, p.generator_enabled)
     generator: tuple[tuple[int, int], ...] = (
         (ExternalInput.GENERATOR_POLARITY, p.generator_polarity),
@@ -168,7 +145,7 @@ def _external_input_writes(p: CameraParameters, identity: Identity) -> list[Writ
         (ExternalInput.INJECT_ON_RISING, p.generator_inject_on_rising),
         (ExternalInput.INJECT_ON_FALLING, p.generator_inject_on_falling),
     )
-    values = (
+    return (
         (ExternalInput.DETECT_RISING, p.external_input_rising),
         (ExternalInput.DETECT_FALLING, p.external_input_falling),
         (ExternalInput.DETECT_PULSES, p.external_input_pulses),
@@ -177,7 +154,6 @@ def _external_input_writes(p: CameraParameters, identity: Identity) -> list[Writ
         # The generator stops before its settings change and starts with the new ones.
         *((*generator, run) if p.generator_enabled else (run, *generator)),
     )
-    return [Write(Module.EXTERNAL_INPUT, parameter, int(value)) for parameter, value in values]
 
 
 QUIET_S = 0.01

@@ -134,7 +134,10 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if identity is None:
             return
         self._driver_services.watch(batch)
-        self._publish_events(batch, identity.geometry.event_size)
+        self._meters.events.add(len(decoded.events))
+        events = self._settings.mask.keep(decoded.events)
+        for publisher in self._event_publishers:
+            publisher.publish(events, batch, identity.geometry.event_size)
         if self._time is not None:
             self._time.publish(batch.time_us)
         for frame in decoded.frames:
@@ -145,13 +148,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
             self._edges.publish(decoded.edges, origin_us)
         if time.monotonic() >= self._clock_due_s:
             self._publish_clock(origin_us, identity.serial)
-
-    def _publish_events(self, batch: CameraBatch, size: tuple[int, int]) -> None:
-        events = batch.decoded.events
-        self._meters.events.add(len(events))
-        events = self._settings.mask.keep(events)
-        for publisher in self._event_publishers:
-            publisher.publish(events, batch, size)
 
     def _publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
         exposure_us = frame.exposure_cycles / identity.clocks.adc

@@ -163,13 +163,14 @@ class InertialPublisher:
             self._temperature.publish(messages.temperature(celsius, time_us, self._frame_id))
 
 
-EDGES_PER_SECOND = 2000.0
-"""More than that would delay events."""
-EDGES_BURST = 500.0
+MOST_EDGES = 500
+"""Edges that are published per period; more would delay events."""
+EDGES_PERIOD_S = 0.25
+"""Period in which the published edges are counted [s]."""
 
 
 class EdgePublisher:
-    """Publishes edges on `external_edges`, up to EDGES_PER_SECOND; counts the others as dropped.
+    """Publishes edges on `external_edges`, up to MOST_EDGES per period; counts those it drops.
 
     Args:
         node: An rclpy node.
@@ -181,8 +182,8 @@ class EdgePublisher:
         self._frame_id, self._meters = frame_id, meters
         self._publisher = node.publish_topic(topics.EXTERNAL_EDGES)
         self._sequence = 0
-        self._allowed = EDGES_BURST
-        self._allowed_at_s = time.monotonic()
+        self._allowed = MOST_EDGES
+        self._period_ends_s = 0.0
 
     def publish(self, edges: Edges, origin_us: int) -> None:
         """Publish edges if there are subscribers.
@@ -197,10 +198,9 @@ class EdgePublisher:
         if not count or not self._publisher.get_subscription_count():
             return
         now_s = time.monotonic()
-        gained = (now_s - self._allowed_at_s) * EDGES_PER_SECOND
-        self._allowed_at_s = now_s
-        self._allowed = min(self._allowed + gained, EDGES_BURST)
-        published = min(count, int(self._allowed))
+        if now_s >= self._period_ends_s:
+            self._period_ends_s, self._allowed = now_s + EDGES_PERIOD_S, MOST_EDGES
+        published = min(count, self._allowed)
         self._allowed -= published
         self._meters.edges_dropped += count - published
         for index in range(published):

@@ -110,7 +110,12 @@ class DriverStatus:
         values |= self._meters.figures() | dict(source.figures) | dict(source.losses)
         values['pixels masked'] = len(mask.pixels)
         values['events masked on the host'] = mask.dropped
-        values |= statistics | self._clock(source) | self._recovery()
+        values |= statistics | self._clock(source)
+        by_kind = sorted(self._supervisor.failures_by_kind.items())
+        values['failures'] = self._supervisor.failures
+        values |= {f'failures {kind}': count for kind, count in by_kind}
+        values['reconnects'] = self._supervisor.reconnects
+        values['latest outage [s]'] = self._supervisor.outage_s
         level, message = self._verdict(source, self._fresh_trouble(source, dropped))
         return Status(level, message, values)
 
@@ -160,16 +165,6 @@ class DriverStatus:
         before = lost if self._dropped_before is None else self._dropped_before
         self._dropped_before = lost
         return max(lost - before, 0), {f'camera {name}': n for name, n in counters.items()}
-
-    def _recovery(self) -> dict[str, object]:
-        supervisor = self._supervisor
-        by_kind = sorted(supervisor.failures_by_kind.items())
-        return {
-            'failures': supervisor.failures,
-            **{f'failures {kind}': count for kind, count in by_kind},
-            'reconnects': supervisor.reconnects,
-            'latest outage [s]': supervisor.outage_s,
-        }
 
     def _clock(self, source: SourceStatus) -> dict[str, object]:
         origin = source.origin

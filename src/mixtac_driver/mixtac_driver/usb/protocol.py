@@ -21,7 +21,6 @@ from usb.core import USBError, USBTimeoutError
 from mixtac_driver.errors import (
     AccessError,
     BusError,
-    ConfigurationError,
     DisconnectedError,
     InUseError,
     NoAnswerError,
@@ -118,11 +117,8 @@ class Protocol:
         """Write one register.
 
         Raises:
-            ConfigurationError: The value has more than 32 bits.
             UsbError: The request failed.
         """
-        if not 0 <= value < 1 << 32:
-            raise ConfigurationError(f'register {module}:{parameter} cannot hold {value}')
         self._out(REQUEST_ONE, int(module), int(parameter), struct.pack('>I', value))
 
     def write_each(self, writes: Sequence[Write]) -> None:

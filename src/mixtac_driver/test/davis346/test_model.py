@@ -80,8 +80,6 @@ def test_a_smaller_camera_is_opened_with_its_sizes_and_biases():
         assert (events.x.tolist(), events.y.tolist()) == ([239], [179])
         with pytest.raises(ConfigurationError):
             opened.apply(DriverParameters(roi_start_col=240))
-        with pytest.raises(ConfigurationError):
-            opened.apply(DriverParameters(), ((239, 180),))
 
 
 def test_a_camera_without_frames_is_not_asked_for_any():

@@ -48,16 +48,6 @@ def test_dense_streams(capacity, sound):
         assert (found.decoder.counters.timestamps_backwards > 0) != sound
 
 
-@pytest.mark.parametrize('sound', [False, True])
-def test_blocks_decode_as_words_one_by_one(sound):
-    rng = np.random.default_rng(1)
-    words = [0x1003, *dense(rng, Geometry(), 5 * BLOCK, sound=sound)]
-    blocks = decode(words, capacity=4 * BLOCK)
-    single = decode(words, capacity=BLOCK - 1)
-    assert blocks.events == single.events
-    assert blocks.decoder.counters == single.decoder.counters
-
-
 @pytest.mark.parametrize('unusual', UNUSUAL)
 def test_unusual_word_at_the_edges_of_blocks_in_a_dense_stream(unusual):
     rng = np.random.default_rng(unusual)
@@ -65,14 +55,6 @@ def test_unusual_word_at_the_edges_of_blocks_in_a_dense_stream(unusual):
         words = [0x1003, *dense(rng, Geometry(), 3 * BLOCK + 10)]
         words.insert(place, unusual)
         both(words)
-
-
-@SETTINGS
-@given(st.lists(st.tuples(st.integers(0, 700), st.sampled_from(UNUSUAL)), max_size=4), geometries())
-def test_unusual_words_anywhere_in_a_dense_stream(places, geometry):
-    rng = np.random.default_rng(len(places))
-    parts = [[*dense(rng, geometry, size), word] for size, word in places]
-    both([w for part in parts for w in part], geometry)
 
 
 @SETTINGS
@@ -100,13 +82,6 @@ def test_events_before_the_first_row_are_dropped():
     found = both([0x8001, *[0x2001] * 40, 0x1000, 0x2001])
     assert len(found.events) == 1
     assert found.decoder.counters.events_without_row == 40
-
-
-@pytest.mark.parametrize('code', [0, 6, 18, 100, 0xFFF])
-def test_unknown_specials_are_counted_and_change_nothing(code):
-    found = both([0x8005, 0x1001, 0x2001, code, 0x2002])
-    assert [e[1:4] for e in found.events] == [(5, 1, 1), (5, 1, 2)]
-    assert found.decoder.counters.specials_unknown == 1
 
 
 def test_arrays_of_other_sizes():

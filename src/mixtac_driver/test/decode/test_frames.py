@@ -135,14 +135,6 @@ def test_frame_that_lost_a_word_is_dropped_or_still_whole(delay):
             assert found.decoder.counters.frames_dropped == (0 < k < len(words) - 1)
 
 
-@pytest.mark.parametrize('delay', [None, 1])
-def test_frame_with_a_word_twice(delay):
-    geometry = oriented(5)
-    words = frame(np.random.default_rng(1), geometry, delay=delay)
-    for k in range(len(words)):
-        both(words[: k + 1] + words[k:], geometry)
-
-
 @pytest.mark.parametrize(
     ('reset', 'signal', 'pixel'),
     [

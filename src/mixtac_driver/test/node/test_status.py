@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +16,6 @@ from davis_fake import FakeBackend, FakeCamera
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.node.diagnostics import ERROR, OK, WARN
 from mixtac_driver.camera import Davis346
-from mixtac_driver.clock import Origin
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
@@ -116,11 +114,3 @@ def test_a_clock_that_stepped_is_a_warning_until_it_is_reset(status, meters):
     assert [status.status().level for _ in range(3)] == [WARN] * 3
     meters.clock = clock_of(ORIGIN_US + 2_000_000)
     assert status.status().level == OK
-
-
-def test_the_offset_of_the_clock_is_that_of_its_own_origin(status, meters, camera, monkeypatch):
-    meters.clock = clock_of(ORIGIN_US)
-    # Set to zero since the map was made.
-    later = replace(camera.status(), origin=Origin(1000 * (ORIGIN_US + 36 * 10**9), 500))
-    monkeypatch.setattr(camera, 'status', lambda: later)
-    assert status.status().values['clock offset [us]'] == pytest.approx(0.0)
