@@ -33,7 +33,7 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
-from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
+from mixtac_fger.estimator import CameraFacts, check_camera, given_estimate, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -138,7 +138,7 @@ class Sensor:
         self._opening = threading.RLock()
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
-        self._trusted: float | None = None
+        self._trusted: Estimate | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
         self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
 
@@ -321,11 +321,11 @@ class Sensor:
             estimates = self._feed.push_events(events, batch.time_us)
             self._show_frame()
             for estimate in estimates:
-                force = given_force(estimate, self._settings.invalid_force, self._trusted)
                 if estimate.valid:
-                    self._trusted = force
+                    self._trusted = estimate
         if estimates:
-            self._forces.put(reading_of(estimates[-1], force))
+            shown = given_estimate(estimates[-1], self._settings.invalid_force, self._trusted)
+            self._forces.put(reading_of(estimates[-1], None if shown is None else shown.force))
 
     def _on_frame(self, frame: Frame, origin_us: int) -> None:
         image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us

@@ -126,7 +126,7 @@ class FgerConfig:
         history_windows: How many past estimates are kept for that comparison.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
-        shear: Whether sideways force and torsion are told as well (`mixtac_fger.shear`).
+        shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.shear`).
     """
 
     width: int = 346

@@ -124,7 +124,7 @@ def _normal(places: F32, moved: F32, tensor: F32, p: F64, normal: F64, right: F6
     for i in range(PARAMETERS):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    # A round contact unless the picture tells otherwise.
+    # A prior for a round contact.
     trace = p[5] + p[7]
     if trace > 0.0:
         uneven, skew = (p[5] - p[7]) / (trace * ROUND), 2.0 * p[6] / (trace * ROUND)
@@ -245,7 +245,7 @@ def _cell_slopes(
 def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
     """Return how parameters follow the mean displacement of cells, float64 [8, rows, columns, 2].
 
-    Least squares about the parameters: what the cells do not tell apart hardly changes.
+    Least squares about the parameters, with a ridge: parameters that the cells do not show stay.
 
     Args:
         places: Of the points of a field [mm], float32 [2, rows, columns].
@@ -262,7 +262,7 @@ def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
     normal = np.einsum('ircb,rcbj->ij', weighted, slopes)
     diagonal = np.diag_indices(PARAMETERS)
     normal[diagonal] *= 1.0 + CARRY_RIDGE
-    # A picture without texture tells nothing at all.
+    # A picture without texture makes the matrix singular.
     normal[diagonal] += 1e-12 * max(float(np.trace(normal)), 1.0)
     return np.linalg.solve(normal, weighted.reshape(PARAMETERS, -1)).reshape(weighted.shape)
 
@@ -277,13 +277,13 @@ class ContactFit:
         significance: Square root of what the contact explains of the field, over what it leaves:
             standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be seen.
         gains: Change of the parameters per displacement of each cell of the event grid, right and
-            down in the image [.../px], float64 [8, rows, columns, 2]; None unless asked for.
+            down in the image [.../px], float64 [8, rows, columns, 2].
     """
 
     parameters: F64
     covariance: F64
     significance: float
-    gains: F64 | None = None
+    gains: F64
 
     @property
     def seen(self) -> bool:
@@ -378,12 +378,10 @@ class ContactFitter:
     Args:
         size: Columns and rows of the image [px].
         scale: Of the skin in the picture; may be changed between two fits.
-        grid: Rows and columns of the event grid that gains are for; None for no gains.
+        grid: Rows and columns of the event grid.
     """
 
-    def __init__(
-        self, size: tuple[int, int], scale: SkinScale, grid: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, size: tuple[int, int], scale: SkinScale, grid: tuple[int, int]) -> None:
         self._size, self.scale, self._grid = size, scale, grid
         self._parameters = np.zeros(PARAMETERS)
         self._seen = False
@@ -407,10 +405,8 @@ class ContactFitter:
         whole, left = _fit(places, moved, tensor, not self._seen, self._parameters, covariance)
         degrees = max(left / moved.size, 1.0)
         significance = math.sqrt(max(whole - left, 0.0) / degrees)
-        gains = None
-        if self._grid is not None:
-            gains = cell_gains(places, tensor, self._parameters, self._grid)
-            gains *= np.array([1.0 / px, -1.0 / px])
+        gains = cell_gains(places, tensor, self._parameters, self._grid)
+        gains *= np.array([1.0 / px, -1.0 / px])
         fit = ContactFit(self._parameters.copy(), degrees * covariance, significance, gains)
         self._seen = fit.seen
         return fit

@@ -5,13 +5,12 @@
 A weak force that lasts is a contact where a picture shows more than any since the last one: noise
 moves the estimate until a frame corrects it, and gel that creeps back is no touch. In a release the
 estimate comes late, and is led by its own slope. Times and thresholds were chosen on 34 simulated
-sensors. More events than at rest around one place, of one polarity or of both, were tried: they
-tell of a touch no sooner than the force does.
+sensors. The rate of events at one place detects a touch no sooner than the force.
 
 Where frames are encoded, a contact is fitted to the displacement of the beads. Between frames, its
-parameters follow the displacement that events tell of, by the fit's own gains: a product of a small
-matrix and a vector per window. Events tell displacements in contrast thresholds, whose size is
-found from what they said between two frames.
+parameters follow the displacement that events measure, by the gains of the fit: a product of a
+small matrix and a vector per window. Events measure displacements in contrast thresholds. The size
+of a threshold is estimated from the events between two frames.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
 
 HISTORY: Final = 128
-"""Windows of which the sums of the flow are kept: frames arrive later than they are exposed."""
+"""Windows whose sums of the flow are kept: frames arrive later than they are exposed."""
 THRESHOLD: Final = 0.25
-"""Contrast threshold before frames have told [log units]."""
+"""Contrast threshold before the first frames [log units]."""
 THRESHOLD_WEIGHT: Final = 20.0
 """Weight of that, as a sum of squares of flow [px^2 per threshold^2]."""
 MEMORY: Final = 0.98
-"""Share of what earlier frames told about the threshold that is left after a frame."""
+"""Share of the weight of earlier frames that is left after a frame."""
 MOST_CARRIED_MM: Final = 1.0
 """Farthest that events carry a place from where the latest frame had it, along each axis [mm]."""
 REST_SHARE: Final = 0.01
@@ -90,7 +89,7 @@ class ContactSettings:
 
 
 class Touch(NamedTuple):
-    """What a frame tells about the contact.
+    """The contact in a frame.
 
     Attributes:
         field: Displacement of the beads.
@@ -140,7 +139,7 @@ class Contact(NamedTuple):
 
 
 class FlowCarrier:
-    """Sums the displacement that events tell of, and finds the size of their thresholds.
+    """Sums the displacement that events measure, and estimates the size of their thresholds.
 
     Args:
         shape: Rows and columns of the event grid.
@@ -179,7 +178,7 @@ class FlowCarrier:
         return self.threshold * (self._sum - start)
 
     def frame(self, start: NDArray[np.float64], field: DisplacementField) -> None:
-        """Compare what events said between two frames with what the frames say.
+        """Compare the displacement by events between two frames with that by the frames.
 
         Args:
             start: Sum of the flow at the frame.
@@ -213,7 +212,7 @@ class ContactTracker:
 
     Attributes:
         settings: As given.
-        touch: What the latest frame tells; None without one.
+        touch: The contact in the latest frame; None without one.
         frame_us: Centre of its exposure, camera clock [us].
     """
 
@@ -224,11 +223,11 @@ class ContactTracker:
         self.clear()
 
     def frame(self, mid_us: int, touch: Touch) -> None:
-        """Take a frame.
+        """Add a frame.
 
         Args:
             mid_us: Centre of its exposure, camera clock [us].
-            touch: What it tells.
+            touch: The contact in it.
         """
         self.touch, self.frame_us, self._start = touch, mid_us, self._carrier.until(mid_us)
         self._dent = min(self._dent, touch.fit.significance)
@@ -322,11 +321,9 @@ class ContactTracker:
     def _shape(self, touch: Touch) -> ContactShape:
         fit = touch.fit
         p = fit.parameters
-        if fit.gains is not None:
-            change = fit.gains.reshape(len(p), -1) @ self._carrier.since(self._start).ravel()
-            for axis in (3, 4):
-                change[axis] = min(max(change[axis], -MOST_CARRIED_MM), MOST_CARRIED_MM)
-            carried = p + change
-            if carried[0] > 0.0 and is_sensible(carried):
-                p = carried
+        change = fit.gains.reshape(len(p), -1) @ self._carrier.since(self._start).ravel()
+        change[3:5] = np.clip(change[3:5], -MOST_CARRIED_MM, MOST_CARRIED_MM)
+        carried = p + change
+        if carried[0] > 0.0 and is_sensible(carried):
+            p = carried
         return contact_shape(p, fit.covariance, self.settings.scale, self.settings.object_radius)

@@ -209,16 +209,16 @@ class Estimate(NamedTuple):
         return self.reason is Reason.TRUSTED
 
 
-def given_force(estimate: Estimate, policy: str, trusted: float | None) -> float | None:
-    """Return the force to give out by the parameter `invalid_force`; None for none [N].
+def given_estimate(estimate: Estimate, policy: str, trusted: Estimate | None) -> Estimate | None:
+    """Return the estimate to publish for a window by the parameter `invalid_force`; None for none.
 
     Args:
-        estimate: The estimate.
+        estimate: Of the window.
         policy: Value of the parameter.
-        trusted: Latest force that could be trusted [N]; None before the first.
+        trusted: Latest valid estimate, up to this one; None before the first.
     """
     if estimate.valid or policy == 'publish':
-        return estimate.force
+        return estimate
     return trusted if policy == 'hold' else None
 
 
@@ -236,8 +236,8 @@ def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
 
 
 @dataclass(slots=True)
-class EstimatorCounters:
-    """What the live estimator counts, since it was made.
+class EstimatorStatus:
+    """What the live estimator counted since it was made, and its present state.
 
     Attributes:
         windows: Windows closed.
@@ -255,9 +255,16 @@ class EstimatorCounters:
         gaps: Holes in the stream.
         skipped_windows: Windows in holes so long that the estimate started over.
         late_events: Events dropped because their window was closed.
-        hot_events: Events ignored because their pixel is hot, where the architecture can tell.
+        hot_events: Events of hot pixels that were ignored.
         tares: Times the reference was renewed on release (`ForceEstimator.tare_on_release`).
         resets: Times the clock went backwards or the state was not finite.
+        ready: Whether windows give forces now.
+        reason: Why not; empty when ready.
+        frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
+        frame_force: Frames-only force of the latest frame [N].
+        deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
+        validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
+        zero_drift: Force that frames show while nothing touches the sensor [N].
     """
 
     windows: int = 0
@@ -276,22 +283,6 @@ class EstimatorCounters:
     hot_events: int = 0
     tares: int = 0
     resets: int = 0
-
-
-@dataclass(slots=True)
-class EstimatorStatus(EstimatorCounters):
-    """Counters of the live estimator and its present state.
-
-    Attributes:
-        ready: Whether windows give forces now.
-        reason: Why not; empty when ready.
-        frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
-        frame_force: Frames-only force of the latest frame [N].
-        deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
-        validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
-        zero_drift: Force that frames show while nothing touches the sensor [N].
-    """
-
     ready: bool = False
     reason: str = ''
     frame_age_us: int = -1

@@ -186,7 +186,7 @@ def grid_features(
 
 @njit(cache=True, nogil=True)
 def fade(balance: NDArray[np.int8]) -> None:
-    """Take a quarter off every pixel's balance; a small one stays.
+    """Reduce the balance of every pixel by a quarter; a small one stays.
 
     Args:
         balance: int8 [height, width]; changed.

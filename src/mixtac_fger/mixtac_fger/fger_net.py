@@ -12,7 +12,7 @@ where the pending part p grows by c and n starts over when a frame corrects. Wha
 standard deviations is applied at once: that is news, not noise. The deviation :math:`\sigma` of the
 output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
 
-While the force vibrates, the network forgets within a window what a frame has told it: events of
+While the force vibrates, the network forgets a frame within a window: events of
 both signs in turn draw F to where it was. Frames then correct the output: see `Vibration`. A frame
 that was exposed around a blow is a mixture of forces, and corrects nothing.
 """
@@ -167,7 +167,7 @@ class Vibration:
         self.end()
 
     def step(self, increment: float) -> None:
-        """Take the change of the force in a window, without corrections [N]."""
+        """Add the change of the force in a window, without corrections [N]."""
         self._window += 1
         self._sum += increment
         ahead = self._way * (self._sum - self._farthest)
@@ -183,7 +183,7 @@ class Vibration:
         self.active = len(self._turns) >= (self.TURNS_LEFT if self.active else self.TURNS)
 
     def correct(self, difference: float) -> float:
-        """Take a frame and return how the offset changes [N].
+        """Add a frame and return the change of the offset [N].
 
         Args:
             difference: The frame's force, less the mean of F in its exposure [N].
@@ -414,7 +414,7 @@ class FgerEstimator(Estimator):
             deviation = math.hypot(deviation, self._rest_deviation, unconfirmed)
         vibration.step(force - before)
         if vibration.active and not vibrated:
-            # The network has forgotten what frames told it.
+            # The network has forgotten the frames.
             self._pending_n = 0.0
         if vibrated:
             force += vibration.offset

@@ -30,7 +30,7 @@ from mixtac_fger.estimator import (
     CameraFacts,
     check_camera,
     fill_quality,
-    given_force,
+    given_estimate,
     open_estimator,
 )
 from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
-    from mixtac_fger.estimator import Estimator
-    from mixtac_fger.shear import Shear
+    from mixtac_fger.estimator import Estimate, Estimator
     from mixtac_fger.weights import Model
 
 
@@ -66,8 +65,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._estimator: Estimator | None = None
         self._reference: NDArray[Any] | None = None
         self._feed: LiveFeed | None = None
-        self._trusted: float | None = None
-        self._trusted_shear: Shear | None = None
+        self._trusted: Estimate | None = None
         self._camera = CameraFacts()
         self._misfit = ''
         self._inputs: list[object] = []
@@ -261,7 +259,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def _use_reference_of(self, before: str) -> None:
         """Use the stored reference of the connected camera; forget that of the camera before."""
         if before:
-            self._trusted = self._trusted_shear = None
+            self._trusted = None
             self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
             if self._feed is not None:
                 self._feed.estimator.change_camera()
@@ -294,14 +292,12 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not estimates:
             return
         for estimate in estimates:
-            force = given_force(estimate, self._settings.invalid_force, self._trusted)
             if estimate.valid:
-                self._trusted, self._trusted_shear = force, estimate.shear
-            if force is not None:
-                held = not estimate.valid and self._settings.invalid_force == 'hold'
-                shear = self._trusted_shear if held else estimate.shear
-                x, y, torque = (0.0, 0.0, 0.0) if shear is None else shear[:3]
-                wrench = (x, y, force, 0.0, 0.0, torque)
+                self._trusted = estimate
+            shown = given_estimate(estimate, self._settings.invalid_force, self._trusted)
+            if shown is not None:
+                x, y, torque = (0.0, 0.0, 0.0) if shown.shear is None else shown.shear[:3]
+                wrench = (x, y, shown.force, 0.0, 0.0, torque)
                 self._force.publish(self._message.serialised(1000 * estimate.end_us, wrench))
         now_ns = time.time_ns()
         # Off the critical path from here on.
@@ -322,7 +318,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             if self._feed is None:
                 raise TareError('the node is not active', remedy='activate it first')
             self._feed.estimator.tare()
-            self._trusted = self._trusted_shear = None
+            self._trusted = None
             stored = self._store_reference(self._feed)
         except MixtacError as error:
             reply.success, reply.message = False, str(error)

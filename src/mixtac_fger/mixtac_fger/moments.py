@@ -17,7 +17,7 @@ is proportional to :math:`L = D c / w`, which is therefore given as well.
 The contact is at the mean of the places, weighted by the square of the divergence of u where that
 is positive. A turn has none, and a pull moves the mean along itself, where it gives no moment.
 
-Between two frames, events tell the same moments: their flow over the grid is what u changes by.
+Between two frames, events give the same moments: their flow over the grid is the change of u.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class HeadWeights(NamedTuple):
 
 
 class StepState(NamedTuple):
-    """State and scratch memory of the recurrent path, float32 if not said otherwise.
+    """State and scratch memory of the recurrent path, float32 unless noted.
 
     Attributes:
         hidden: LSTM output h.
@@ -150,18 +150,10 @@ REVERSAL_N = 0.03
 
 def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
     """Return a state at zero with its scratch memory; for `unit` see `FgerConfig.force_unit`."""
-    lstm = weights.gates_hidden.shape[0]
-    sizes = (
-        lstm,
-        lstm,
-        1,
-        weights.event_hidden.shape[0],
-        weights.event_hidden.shape[1],
-        weights.event_output.shape[1],
-        4 * lstm,
-        weights.increment_hidden.shape[1],
-        weights.increment_hidden.shape[1],
-    )
+    hidden, output = weights.event_hidden.shape[1], weights.event_output.shape[1]
+    lstm, increment = weights.gates_hidden.shape[0], weights.increment_hidden.shape[1]
+    inputs = weights.event_hidden.shape[0]
+    sizes = (lstm, lstm, 1, inputs, hidden, output, 4 * lstm, increment, increment)
     scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
     response = np.array([1.0, 0.0, unit * FAST_INCREMENT, unit * REVERSAL_N], np.float32)
     return StepState._make([*scratch, response, np.zeros(3)])
@@ -282,7 +274,7 @@ class EventResponse:
     Contrast thresholds, gels and beads differ from sensor to sensor, and with them the sum of
     increments that events give for a change of force. And events have play, like a worn gear: after
     a reversal a pixel is silent until the contrast has moved by a threshold or two, so that what
-    events tell lags behind. From one frame to the next,
+    events show lags behind. From one frame to the next,
 
     .. math:: \Delta F - B = g A + p \, \Delta s,
 
@@ -329,7 +321,7 @@ class EventResponse:
         self._before = None
 
     def frame(self, force: float, increments: NDArray[np.float64]) -> None:
-        """Take a frame.
+        """Add a frame.
 
         Args:
             force: Corrected force at the centre of its exposure [N].
@@ -417,11 +409,11 @@ class RecurrentPath:
         self.confirm()
 
     def confirm(self) -> None:
-        """Take the increments up to now as confirmed."""
+        """Count the increments up to now as confirmed."""
         self._confirmed = self._state.increments.copy()
 
     def see(self, frame_feature: F32) -> None:
-        """Take the feature of the latest frame, which says how motion and force belong together."""
+        """Use the feature of the latest frame, which relates motion and force."""
         matrix, context = self._weights.context, self._state.context
         context[:] = self._weights.increment_hidden_bias
         if matrix.size:

@@ -1,12 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The no-contact reference that frames are compared with, and the file that keeps it."""
+"""The no-contact reference, the file that keeps it, and when it may be renewed.
+
+A contact that was there from the start looks like none, since beads lie anywhere in a gel. So a
+first zero needs a release, which draws the skin together; a later one is compared with the
+reference.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +21,11 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import FileError, replacing, state_file
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import mean_contrast
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from mixtac_fger.validity import PictureFigures
 
 F32 = NDArray[np.float32]
 
@@ -114,7 +125,7 @@ class Reference:
         return len(self._recent)
 
     def add(self, coarse: F32) -> tuple[F32, int] | None:
-        """Take a frame, and return the reference and its number; None while it is incomplete.
+        """Add a frame; return the reference and its number, or None while it is incomplete.
 
         Args:
             coarse: Coarse log contrast of the frame, float32 `FgerConfig.frame_shape`.
@@ -162,17 +173,14 @@ class Reference:
             self._number += 1
 
     def save(self, path: Path) -> None:
-        """Write the reference to a `.npz` file; an existing reference file is replaced.
+        """Write the reference to a `.npz` file; an existing file is replaced.
 
         Raises:
-            ReferenceFileError: There is no reference yet, the file holds something else, or it
-                cannot be written.
+            ReferenceFileError: There is no reference yet, or the file cannot be written.
         """
         array = self._array
         if array is None:
             raise ReferenceFileError('there is no reference yet', remedy='show still frames first')
-        if path.exists():
-            _read(path)  # Raises for a file that is no reference.
         try:
             with replacing(path) as scratch, scratch.open('wb') as file:
                 np.savez(file, contrast=array, preparation=self._preparation)
@@ -231,3 +239,100 @@ def stored_reference(name: str, reference: Reference | None) -> F32 | None:
     if reference is None or not path.exists():
         return None
     return reference.load(path)
+
+
+CONTACT = 0.006
+"""Outward displacement that a contact makes [bins]: without one up to 0.005, of 0.1 N 0.009 to
+0.06; a release of 0.2 N draws the skin together by 0.015 and more."""
+SETTLE_FRAMES = 12
+"""Frames after a contact in which the gel recovers and the force is not yet the zero."""
+REST_FRAMES = 50
+"""Frames at rest after which the zero may be renewed: 2 s at 25 Hz."""
+DRIFT_SHARE = 0.05
+"""Least share by which the drift follows a frame."""
+
+
+class Zero:
+    """Follows the frames of a sensor since the start, or since the latest tare.
+
+    Args:
+        reference: What its frames are compared with.
+
+    Attributes:
+        drift: Mean force that frames show while nothing touches the sensor, before any calibration
+            [N]; of the latest rest while something touches.
+    """
+
+    def __init__(self, reference: Reference) -> None:
+        self._reference = reference
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all frames."""
+        self.drift = self._most = self._outward = 0.0
+        self._touched = False
+        self._rest = 0
+
+    @property
+    def released(self) -> bool:
+        """Whether the skin drew together since the start, or was pushed apart and came back."""
+        if abs(self._outward) > CONTACT:
+            return self._outward < 0.0
+        return self._most > 2.0 * CONTACT
+
+    @property
+    def due(self) -> bool:
+        """Whether a contact has ended and a long enough rest has followed."""
+        return self._touched and self._rest >= REST_FRAMES
+
+    def frame(self, picture: PictureFigures, force: float, *, light: bool) -> None:
+        """Add a frame.
+
+        Args:
+            picture: Comparison with the reference.
+            force: Its force [N].
+            light: Whether the force is too small for a contact.
+        """
+        self._outward = picture.outward
+        self._most = max(self._most, picture.outward)
+        free = abs(picture.outward) < CONTACT if self._reference.known else self.released
+        still = self._reference.progress == self._reference.frames
+        self._touched |= not free
+        self._rest = self._rest + 1 if free and still and light else 0
+        if self._rest > SETTLE_FRAMES:
+            share = max(1.0 / (self._rest - SETTLE_FRAMES), DRIFT_SHARE)
+            self.drift += (force - self.drift) * share
+
+    def renew(
+        self, picture: PictureFigures | None, forces: Collection[float], contact_n: float
+    ) -> None:
+        """Make the latest frames the reference, and start over.
+
+        Args:
+            picture: Of the latest frame; None if it was not compared.
+            forces: Latest estimates [N].
+            contact_n: Size of a force from which on it is a contact [N].
+
+        Raises:
+            TareError: In contact, no release was seen, or too few still frames.
+        """
+        largest, known = max(forces, key=abs), self._reference.known
+        if known and abs(largest) > contact_n:
+            raise TareError(
+                f'in contact ({largest:.2f} N within the last {len(forces)} windows)',
+                remedy='release the sensor and try again',
+            )
+        outward = 0.0 if picture is None or picture.unexplained() > 1.0 else picture.outward
+        if known and abs(outward) > CONTACT:
+            raise TareError(
+                'in contact: the skin is displaced against the reference',
+                remedy='release the sensor and try again; delete the stored reference if it is that'
+                ' of a contact',
+            )
+        if not known and picture is not None and not self.released:
+            raise TareError(
+                'something may have touched the sensor at the start, and no release was seen since',
+                remedy='touch the sensor, release it and try again, or set assume_free',
+            )
+        self._reference.renew()
+        self.restart()

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""Sideways force and torsion beside the normal force.
 
-A frame tells the sideways force by its feature, whose moments (`mixtac_fger.moments`) are most of
-it, and the torsion by the moments of turning alone, each weighted by what the convolutions say
-about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames the moments change
-by those of the flow of the events, :math:`u = e \, v`: v is the displacement per contrast
-threshold, e (`PER_EVENT`) makes it that which frames show. The same constants make both a force.
+The sideways force is a linear function of the feature of a frame, most of all of its moments
+(`mixtac_fger.moments`). The torsion is a sum of the moments of turning with weights by the
+convolutions, for gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames the
+moments change by those of the flow of the events, :math:`u = e \, v`: v is the displacement per
+contrast threshold, e (`PER_EVENT`) makes it that which frames show. The same constants make both a
+force.
 
 The value is that of the latest frame, and the increments since the centre of its exposure; the
 output follows a frame over some windows.
@@ -68,7 +69,7 @@ PER_EVENT: Final = 0.4
 
 
 class Shown(NamedTuple):
-    """What a frame tells, for a gel of usual stiffness.
+    """The measurement of a frame, for a gel of usual stiffness.
 
     Attributes:
         value: Force to the right and upwards [N], torque [N mm]; float64 [3].

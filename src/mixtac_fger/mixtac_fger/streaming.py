@@ -24,7 +24,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
-from dataclasses import asdict
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,12 +34,11 @@ from mixtac_core.events.codec import decode, encode
 from mixtac_core.events.sequence import Arrival, StreamTime
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
-from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
+from mixtac_fger.estimator import Estimate, EstimatorStatus
 from mixtac_fger.features import correction_lag
 from mixtac_fger.frame_worker import FrameWorker, seen
-from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.reference import Reference, TareError, Zero
 from mixtac_fger.validity import Reason, Validity
-from mixtac_fger.zero import Zero
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -145,7 +144,7 @@ class ForceEstimator:
         self._zero = None if reference is None else Zero(reference)
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
-        self._count = EstimatorCounters()
+        self._count = EstimatorStatus()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -178,7 +177,7 @@ class ForceEstimator:
         return 0.0 if self._frame is None else self.force_scale * self._frame.force
 
     def push_frame(self, image: Image | Callable[[], Image], mid_us: int) -> None:
-        """Take a frame as it arrives.
+        """Add a frame as it arrives.
 
         Args:
             image: Intensity, [height, width]; uint8, or uint16 with the camera's bits left-aligned;
@@ -275,12 +274,18 @@ class ForceEstimator:
 
     def change_camera(self) -> None:
         """Forget the zero: another camera was connected."""
-        self.reset()
+        if self._estimator.reference is not None:
+            self._estimator.reference.forget()
+            self._estimator.reference.assume_free = False
+        self._start_over()
         self._validity.forget()
         self._estimator.change_sensor()
         self._other_camera = True
-        if self._estimator.reference is not None:
-            self._estimator.reference.assume_free = False
+
+    def _start_over(self) -> None:
+        self._forget()
+        if self._zero is not None:
+            self._zero.restart()
 
     def use_contact(self, settings: ContactSettings) -> None:
         """Find contacts by these settings from now on, if the architecture finds any."""
@@ -296,17 +301,6 @@ class ForceEstimator:
             if self.contact is not None:
                 self.use_contact(self.contact.settings)
 
-    def _start_over(self) -> None:
-        self._forget()
-        if self._zero is not None:
-            self._zero.restart()
-
-    def reset(self) -> None:
-        """Start over: the next still frames become the reference."""
-        self._start_over()
-        if self._estimator.reference is not None:
-            self._estimator.reference.forget()
-
     def close(self) -> None:
         """End the frame thread, if there is one."""
         if self._worker is not None:
@@ -315,17 +309,15 @@ class ForceEstimator:
     def status(self) -> EstimatorStatus:
         """Return counters and the reason for having no output."""
         worker, time, reason = self._worker, self._time, self._reason()
-        counted = asdict(self._count) | {
-            'frames_dropped': self._count.frames_dropped + (worker.dropped if worker else 0),
-            'bad_frames': worker.refused if worker else 0,
-            'gaps': time.gaps,
-            'skipped_windows': time.skipped_us // self._width_us,
-            'late_events': self._slicer.late_events,
-            'hot_events': self._estimator.hot_events,
-            'resets': self._count.resets + time.restarts,
-        }
-        return EstimatorStatus(
-            **counted,
+        return replace(
+            self._count,
+            frames_dropped=self._count.frames_dropped + (worker.dropped if worker else 0),
+            bad_frames=worker.refused if worker else 0,
+            gaps=time.gaps,
+            skipped_windows=time.skipped_us // self._width_us,
+            late_events=self._slicer.late_events,
+            hot_events=self._estimator.hot_events,
+            resets=self._count.resets + time.restarts,
             ready=not reason,
             reason=reason,
             frame_age_us=self._frame_age_us(),
@@ -402,7 +394,8 @@ class ForceEstimator:
 
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
-        while self._encoded and self._due(self._encoded[0], end_us):
+        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= FRAME_AHEAD_US:
+            # Its events are there, or never will be.
             self._apply(self._encoded.popleft(), end_us)
 
     def _check(self, frame: EncodedFrame) -> None:
@@ -434,10 +427,6 @@ class ForceEstimator:
         while len(self._encoded) > WAITING_FRAMES:
             self._encoded.popleft()
             self._count.frames_dropped += 1
-
-    def _due(self, frame: EncodedFrame, end_us: int) -> bool:
-        """Return whether the events have come as far as a frame, or never will."""
-        return not 0 < frame.mid_us - end_us <= FRAME_AHEAD_US
 
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
@@ -504,8 +493,8 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     random, reference = np.random.default_rng(0), estimator.reference
     for index in range(2 * (1 if reference is None else reference.frames)):
         start_us = WARM_UP_START_US + WARM_UP_STEP_US * index
-        noise = random.integers(99, 102, size[::-1])
-        feed.push_frame(noise.astype(np.uint16) if index % 2 else noise.astype(np.uint8), start_us)
+        image = random.integers(99, 102, size[::-1]).astype(np.uint8)
+        feed.push_frame(image.astype(np.uint16) if index % 2 else image, start_us)
         t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
         zeros = np.zeros(len(t_us), np.uint16)
         events = Events(t_us, zeros, zeros, t_us % 200 == 0)

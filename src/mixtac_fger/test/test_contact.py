@@ -47,7 +47,7 @@ def pressed(place, widths=(3.0, 3.0), angle=0.0, strength=0.4, shear=(0.0, 0.0),
 @FEW
 @given(x=ALONG, y=ALONG, shear=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)))
 def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
-    fit = ContactFitter(SIZE, SCALE).fit(pressed((x, y), shear=shear))
+    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((x, y), shear=shear))
     found = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
     assert fit.seen
     assert (found.x_mm, found.y_mm) == pytest.approx((x, y), abs=0.02)
@@ -58,7 +58,7 @@ def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
 def test_the_place_of_a_pulled_contact_is_less_certain():
     deviations = []
     for pull in (0.0, 0.05, 0.1):
-        fit = ContactFitter(SIZE, SCALE).fit(pressed((1.0, 2.0), shear=(pull, 0.0)))
+        fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((1.0, 2.0), shear=(pull, 0.0)))
         shape = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
         deviations.append(shape.deviation_mm)
     assert deviations[0] < deviations[1] < deviations[2]
@@ -80,19 +80,19 @@ def test_a_picture_without_texture_shows_no_contact():
 @FEW
 @given(angle=st.floats(-1.5, 1.5))
 def test_an_oblong_contact_lies_where_its_longer_axis_points(angle):
-    fit = ContactFitter(SIZE, SCALE).fit(pressed((1.0, -1.0), widths=(4.0, 2.5), angle=angle))
+    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((1.0, -1.0), widths=(4.0, 2.5), angle=angle))
     found = contact_shape(fit.parameters, fit.covariance, SCALE, 0.0)
     assert math.cos(2.0 * (found.angle - angle)) > 0.99
     assert found.major_mm / found.minor_mm == pytest.approx(1.6, rel=0.1)
 
 
 def test_noise_alone_is_no_contact():
-    fit = ContactFitter(SIZE, SCALE).fit(pressed((0.0, 0.0), strength=0.0, noise=0.01))
+    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((0.0, 0.0), strength=0.0, noise=0.01))
     assert not fit.seen
 
 
 def test_a_contact_of_another_field_is_followed():
-    fitter = ContactFitter(SIZE, SCALE)
+    fitter = ContactFitter(SIZE, SCALE, GRID)
     for x in (0.0, 0.5, 5.0):
         assert fitter.fit(pressed((x, 0.0))).parameters[3] == pytest.approx(x, abs=0.02)
 

@@ -25,10 +25,9 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
+from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_core.node.base_node import QOS_SENSOR
 from mixtac_core.node.stamps import stamp_to_us, us_to_stamp
 from mixtac_fger.reference import Reference, reference_name
 from mixtac_fger.validity import Reason
@@ -229,33 +228,6 @@ def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, 
     )
 
 
-def test_a_camera_that_does_not_fit_is_refused_before_and_after_the_start(estimator):
-    graph, size = estimator.graph, [640, 480]
-    infos = graph.node.create_publisher(CameraInfo, '/mixtac/camera_info', QOS_SENSOR)
-    reports = graph.listen(DiagnosticArray, '/diagnostics', 10)
-
-    def show() -> None:
-        infos.publish(CameraInfo(width=size[0], height=size[1]))
-
-    def refused() -> bool:
-        if not estimator.transition(Transition.TRANSITION_CONFIGURE)[0]:
-            return True
-        assert estimator.transition(Transition.TRANSITION_CLEANUP)[0]
-        return False
-
-    graph.spin_until(refused, show)
-    assert any('640 x 480' in line for line in estimator.errors)
-    size[:] = 346, 260
-    graph.spin_until(lambda: estimator.transition(Transition.TRANSITION_CONFIGURE)[0], show)
-    assert estimator.transition(Transition.TRANSITION_ACTIVATE)[0]
-    assert not any('640' in status.message for report in reports for status in report.status)
-    assert estimator.transition(Transition.TRANSITION_ACTIVE_SHUTDOWN) == (
-        True,
-        State.PRIMARY_STATE_FINALIZED,
-    )
-    graph.spin_until(lambda: 'not active' in graph.diagnostics(NAME).get('message', ''))
-
-
 def test_a_camera_brings_its_kept_reference_or_none(node_under_test, tmp_path, model, monkeypatch):
     path = tmp_path / 'toy.safetensors'
     write_model(path, model)
@@ -295,15 +267,6 @@ def test_autostart_activates_once_and_never_again(node_under_test, tmp_path, mod
     end_s = time.monotonic() + 1.0
     node_under_test.spin_until(lambda: time.monotonic() > end_s)
     assert estimator.state() == State.PRIMARY_STATE_INACTIVE
-
-
-def test_autostart_without_a_model_ends_the_node_with_the_reason(node_under_test, tmp_path):
-    path = tmp_path / 'none.safetensors'
-    node_under_test.start('mixtac_fger.fger_node', 'autostart:=true', f'model:={path}')
-    assert node_under_test.process.wait(60.0) == 1
-    last = node_under_test.process.stderr.splitlines()[-1]
-    assert last.startswith('error: ')
-    assert str(path) in last
 
 
 def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):

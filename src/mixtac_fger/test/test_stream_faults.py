@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from toy_sensor import random_model
 
 from mixtac_core.events.arrays import Events
-from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.fger_net import FgerEstimator, with_gain
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
@@ -311,64 +309,6 @@ def test_numbers_that_are_not_finite_never_leave():
     forces = [each.force for each in estimator.push_events(Events.empty(), 220_000)]
     assert len(forces) == 5
     assert np.isfinite(forces).all()
-
-
-def test_settings_take_effect_at_once():
-    estimator = ForceEstimator(Scripted(*[1.0] * 100))
-    estimator.push_frame(np.zeros((260, 346), np.uint16), 190_000)
-    estimator.push_events(Events.empty(), 200_000)
-    assert {each.force for each in estimator.push_events(Events.empty(), 204_000)} == {1.0}
-    estimator.force_scale = 3.0
-    assert {each.force for each in estimator.push_events(Events.empty(), 208_000)} == {3.0}
-    estimator.longest_without_frame_us = 10_000
-    assert estimator.push_events(Events.empty(), 212_000) == []
-
-
-def test_with_frames_and_packets_missing_the_force_comes_back_within_a_frame(trial):
-    """A network whose correction is the frame's force shows what the engine does with both."""
-    model = correcting_model()
-    whole, broken = (ForceEstimator(FgerEstimator(model)) for _ in range(2))
-    random = np.random.default_rng(4)
-    forces: dict[int, dict[int, float]] = {0: {}, 1: {}}
-    arrival = list(trial.arrival_us)
-    gap = (700_000, 900_000)
-    missing = False
-    for end in range(1000, int(trial.t_us[-1]), 1000):
-        part = trial.events.between(end - 1000, end)
-        for frame in np.flatnonzero((np.array(arrival) > end - 1000) & (np.array(arrival) <= end)):
-            middle = (int(trial.exposure_start_us[frame]) + int(trial.exposure_end_us[frame])) // 2
-            whole.push_frame(trial.frames[frame], middle)
-            if frame < 6 or random.random() > 0.1:
-                broken.push_frame(trial.frames[frame], middle)
-        forces[0] |= {e.end_us: e.force for e in whole.push_events(part, end)}
-        if random.random() < 0.05 or gap[0] <= end < gap[1]:
-            missing = True
-            continue
-        got = broken.push_events(part, end, lost_before=missing)
-        forces[1] |= {e.end_us: e.force for e in got}
-        missing = False
-    given = np.array(sorted(forces[1]))
-    assert not ((given > gap[0] + 2000) & (given <= gap[1])).any()
-    resumed = given[given > gap[1]].min()
-    assert resumed <= gap[1] + 2 * FRAME_US + 15_000
-    late = [end for end in forces[1] if end > resumed + 3 * FRAME_US]
-    assert len(late) > 20
-    error = np.abs([forces[1][end] - forces[0][end] for end in late])
-    assert error.max() < 0.1 * np.ptp(list(forces[0].values()))
-
-
-def correcting_model() -> Model:
-    """Return a network that follows its frames: MLP_corr takes the estimate to a value of f."""
-    model = random_model(FgerConfig(), seed=1)
-    for name, tensor in model.tensors.items():
-        if name.startswith(('increment', 'correction')):
-            tensor[:] = 0.0
-    hidden, output = model.tensors['correction.0.weight'], model.tensors['correction.2.weight']
-    # relu(f - F) - relu(F - f): the first of the frame's features less the estimate.
-    for row, sign in ((0, 1.0), (1, -1.0)):
-        hidden[row, 0], hidden[row, 1:] = -sign, 0.3 * sign
-        output[0, row] = sign
-    return model
 
 
 def test_a_frame_that_comes_after_a_later_one_is_left_out(model, trial):

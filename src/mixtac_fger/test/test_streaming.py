@@ -11,10 +11,9 @@ from mixtac_core.events.arrays import Events
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
-from mixtac_fger.reference import TareError
+from mixtac_fger.reference import REST_FRAMES, TareError
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
-from mixtac_fger.zero import REST_FRAMES
 
 
 def still_frames(estimator: ForceEstimator, trial, count: int = 5) -> None:
@@ -107,16 +106,6 @@ def test_a_contact_is_followed_while_somebody_wants_it(model, trial):
     assert before == after == {True}
     assert during == {False}
     assert touch is not None
-
-
-def test_motion_restarts_the_reference(model, trial):
-    estimator = ForceEstimator(FgerEstimator(model))
-    pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
-    for index, image in enumerate([trial.frames[0]] * 3 + [pressed] * 4):
-        estimator.push_frame(np.roll(image, 3 * (image is pressed), axis=1), index * 40_000)
-    reason = estimator.status().reason
-    assert '4 of 5' in reason
-    assert 'restarted 1 times' in reason
 
 
 @pytest.mark.parametrize('level', [0, 65535])
@@ -275,14 +264,6 @@ def test_noise_alone_does_not_disturb_the_reference(model, trial, level, moves, 
         shown = np.clip(image + random.normal(0.0, 3.0 * level, image.shape), 1, 1023)
         estimator.push_frame(shown.astype(np.uint16), index * 40_000)
     assert (estimator.reference.array is not None) == still
-
-
-def test_reset_starts_over(model, trial):
-    estimator = ForceEstimator(FgerEstimator(model))
-    still_frames(estimator, trial)
-    estimator.push_events(Events.empty(), 200_000)
-    estimator.reset()
-    assert 'reference: 0 of 5' in estimator.status().reason
 
 
 def test_an_image_of_another_size_is_refused(model):

@@ -62,15 +62,6 @@ def test_noise_motion_and_a_blow_with_rebounds_are_no_vibration(seed, noise, pea
     assert not follow(slow + blow + random.normal(0.0, noise, 300)).any()
 
 
-def test_rebounds_with_rest_between_them_are_no_vibration():
-    force = np.zeros(300)
-    for start in range(20, 280, 18):
-        force[start : start + 5] = 0.9, -0.2, 1.0, -0.1, 0.4
-    turns = np.count_nonzero(np.diff(np.sign(np.diff(force))))
-    assert turns * Vibration.SPAN / len(force) > Vibration.TURNS
-    assert not follow(force).any()
-
-
 def test_the_unit_of_the_force_makes_no_difference():
     force = tone(120.0, 0.03, 0.1)
     expected = follow(force)

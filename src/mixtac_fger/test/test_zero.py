@@ -10,9 +10,8 @@ from toy_sensor import SOUND
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.reference import CONTACT, REST_FRAMES, Reference, TareError, Zero
 from mixtac_fger.validity import PictureFigures
-from mixtac_fger.zero import CONTACT, REST_FRAMES, Zero
 
 
 def picture(outward: float, unlike: float = 0.0) -> PictureFigures:

@@ -184,22 +184,13 @@ class ClockFit:
                 ' of clocks',
                 remedy='fit again',
             )
-        fit = cls(
-            a=a,
-            b=b,
-            covariance=covariance,
-            camera_epoch_us=round(camera_s * 1e6),
-            reference_epoch_s=reference_s,
-            anchors=(),
-            residuals_s=residuals_s,
-            method=method,
-        )
-        camera_us = [round(seconds * 1e6) for seconds in pairs_s[0].tolist()]
-        anchors = tuple(
-            Anchor(at_us, at_s, float(fit.std_at(at_us)))
-            for at_us, at_s in zip(camera_us, pairs_s[1].tolist(), strict=True)
-        )
-        return replace(fit, anchors=anchors)
+        camera_us = round(camera_s * 1e6)
+        fit = cls(a, b, covariance, camera_us, reference_s, (), residuals_s, method)
+        anchors = []
+        for at_s, shown_s in pairs_s.T.tolist():
+            at_us = round(at_s * 1e6)
+            anchors.append(Anchor(at_us, shown_s, float(fit.std_at(at_us))))
+        return replace(fit, anchors=tuple(anchors))
 
     def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return camera times [us] as seconds from the camera epoch."""
