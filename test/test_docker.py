@@ -42,7 +42,7 @@ def stages(path: Path) -> list[list[tuple[str, str]]]:
 
 
 def in_context(name: str) -> bool:
-    """Tell whether .dockerignore lets a top-level file or folder into the build."""
+    """Return whether .dockerignore lets a top-level file or folder into the build."""
     return f'!{name}' in (ROOT / '.dockerignore').read_text().splitlines()
 
 
@@ -77,32 +77,6 @@ def test_what_is_copied_is_there_and_in_the_context(path):
             assert in_context(source.split('/')[0]), source
 
 
-@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
-def test_python_comes_from_the_same_tool_and_files_as_everywhere(path):
-    runs = ' '.join(text for name, text in instructions(path) if name == 'RUN')
-    assert 'tools/setup.py' in runs
-    assert 'pip install' not in runs
-    for tool in re.findall(r'tools/\S+\.py', runs):
-        help_text = subprocess.run(
-            ['python3', str(ROOT / tool), '--help'], capture_output=True, text=True, check=True
-        ).stdout
-        assert '--with' in help_text
-        assert 'learn' in help_text
-
-
-@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
-def test_nodes_load_the_kernels_that_were_compiled_with_the_image(path):
-    # numba looks for them beside the sources, unless it is told to look elsewhere only.
-    assert all('NUMBA_CACHE_DIR' not in text for _, text in instructions(path))
-
-
-def test_images_bring_torch_only_when_asked_for():
-    for name in ('Dockerfile', 'wheels.Dockerfile'):
-        assert ('ARG', 'TORCH=none') in instructions(ROOT / 'docker' / name)
-    base = (ROOT / 'pyproject.toml').read_text().split('dependencies = [')[1].split(']')[0]
-    assert 'torch' not in base
-
-
 def test_scripts_can_be_run_and_parse():
     for path in (ROOT / 'docker').glob('*.sh'):
         assert os.access(path, os.X_OK)
@@ -119,11 +93,6 @@ def test_services_share_an_image_and_have_a_profile_each():
         assert not service.get('privileged')
         known = set(re.findall(r'^ARG (\w+)', DOCKERFILES[0].read_text(), re.MULTILINE))
         assert set(service['build']['args']) <= known
-
-
-def test_only_the_camera_services_reach_usb():
-    with_usb = {name for name, each in COMPOSE['services'].items() if 'device_cgroup_rules' in each}
-    assert with_usb == {'sensor', 'sensor-cuda'}
 
 
 def test_commands_of_the_services_exist():

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -57,14 +56,6 @@ def test_rviz_shows_topics_with_the_right_display_and_a_matching_qos():
             assert display['Topic']['Reliability Policy'] == 'Best Effort'
 
 
-def test_the_fixed_frame_of_rviz_is_the_frame_of_the_force():
-    layout = yaml.safe_load((CONFIG / 'rviz' / 'mixtac.rviz').read_text())
-    from mixtac_fger.parameters import FgerParameters
-
-    frame = layout['Visualization Manager']['Global Options']['Fixed Frame']
-    assert frame == FgerParameters().frame_id
-
-
 def test_plotjuggler_plots_numbers_of_the_topics_it_subscribes():
     root = ET.parse(CONFIG / 'plotjuggler' / 'mixtac.xml').getroot()
     subscribed = {each.get('name'): each.get('type') for each in root.iter('topic')}
@@ -93,9 +84,3 @@ def test_foxglove_panels_read_what_exists():
         for topic in filter(None, named):
             wanted = FOXGLOVE_TYPES.get(name.partition('!')[0])
             assert wanted in {None, TYPES[topic]}
-
-
-def test_every_foxglove_panel_has_a_place_and_every_place_a_panel():
-    layout = json.loads((CONFIG / 'foxglove' / 'mixtac.json').read_text())
-    placed = re.findall(r'"(\w+!\w+)"', json.dumps(layout['layout']))
-    assert sorted(placed) == sorted(layout['configById'])

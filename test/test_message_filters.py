@@ -86,13 +86,6 @@ def test_the_nearest_within_the_slop_is_taken_once():
     assert [(a.stamp_ns, b.stamp_ns) for a, b in got] == [(10, 11), (12, 12)]
 
 
-def test_arguments_follow_the_messages():
-    source, got = OURS.SimpleFilter(), []
-    source.registerCallback(lambda *all_of_it: got.append(all_of_it), 'more')
-    source.signalMessage(1, 2)
-    assert got == [(1, 2, 'more')]
-
-
 @settings(max_examples=300)
 @given(
     st.integers(2, 3).flatmap(

@@ -2,15 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot runs the sensor with neither PyTorch, matplotlib nor the simulator.
 
-By default the nodes run in this environment with those modules hidden. With
-`MIXTAC_TEST_INSTALL=1` they run in an environment of their own, made by
-`tools/setup.py --robot` in a copy of the sources.
+The nodes run in this environment with those modules hidden.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -69,41 +65,3 @@ def test_nodes_start_with_nothing_that_robots_lack(node: str, node_under_test: A
     finally:
         process.kill()
         process.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_an_environment_of_its_own(tmp_path: Path):
-    if not os.environ.get('MIXTAC_TEST_INSTALL'):
-        pytest.skip('downloads packages: set MIXTAC_TEST_INSTALL=1')
-    clone = tmp_path / 'mixtac'
-    left_out = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', '__pycache__')
-    shutil.copytree(ROOT, clone, ignore=left_out, symlinks=True)
-    python = getattr(sys, '_base_executable', sys.executable)
-    kept = {k: v for k, v in os.environ.items() if k in ('PATH', 'HOME', 'TMPDIR', 'LANG')}
-    kept.update({k: v for k, v in os.environ.items() if k.startswith(('PIP_', 'SSL_'))})
-    kept['PATH'] = kept['PATH'].replace(f'{ROOT}/.venv/bin:', '')
-    subprocess.run([python, str(clone / 'tools' / 'setup.py'), '--robot'], env=kept, check=True)
-    listed = subprocess.run(
-        [clone / '.venv' / 'bin' / 'python', '-m', 'pip', 'list', '--format=freeze'],
-        env=kept,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    names = {line.partition('=')[0].lower() for line in listed.splitlines()}
-    assert not names & {'torch', 'matplotlib', 'ruff', 'mypy'}
-    for module in NODES.values():
-        node = f'python -m mixtac_core.node {module} --ros-args -p device:=davis346'
-        shell = f'. tools/env.sh && exec timeout -s INT 15 {node}'
-        ended = subprocess.run(
-            ['bash', '-c', shell],
-            cwd=clone,
-            env=kept | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert 'Traceback' not in ended.stdout + ended.stderr
-    size = sum(p.lstat().st_size for p in (clone / '.venv').rglob('*') if not p.is_symlink())
-    print(f'{size / 1e6:.0f} MB installed')

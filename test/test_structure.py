@@ -70,11 +70,6 @@ def test_a_package_above_its_ceiling_is_found(tmp_path):
     assert set(listed) == {name for name in TOOL['FLOORS'] if name not in NO_CODE}
 
 
-def test_comments_and_docstrings_do_not_count_as_code(tmp_path):
-    text = '"""Doc.\n' + 'x\n' * 400 + '"""\n' + '# why\n\n' * 400 + 'x = 1\n' * 400
-    assert faults(write_package(tmp_path, 'mixtac_sim', core=text)) == []
-
-
 CIRCLE_FOR_TYPES = (
     'from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from mixtac_sim.b import B\n'
 )

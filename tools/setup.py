@@ -111,7 +111,7 @@ def pip_install(venv: Path) -> list[str]:
 
 
 def pip_settings(venv: Path) -> dict[str, str]:
-    """Return what pip is told by its files and by the environment, by the name of the option."""
+    """Return the options that files and the environment set for pip, by name."""
     command = [str(venv / 'bin' / 'python'), '-m', 'pip', 'config', 'list']
     listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout
     pairs = dict(line.split('=', 1) for line in listed.splitlines() if '=' in line)
@@ -135,8 +135,8 @@ def install_packages(venv: Path, arguments: list[str]) -> None:
     """
     arguments = [*arguments, '-c', str(ROOT / 'constraints.txt')]
     settings = pip_settings(venv)
-    told = {'UV_DEFAULT_INDEX': 'index-url', 'SSL_CERT_FILE': 'cert'}
-    env = {name: settings[key] for name, key in told.items() if key in settings} | os.environ
+    passed = {'UV_DEFAULT_INDEX': 'index-url', 'SSL_CERT_FILE': 'cert'}
+    env = {name: settings[key] for name, key in passed.items() if key in settings} | os.environ
     folder = venv / 'uv'
     try:
         if not folder.exists():
@@ -220,7 +220,7 @@ def installed_names() -> str:
 
 
 def has_package(env: dict[str, str], name: str) -> bool:
-    """Tell whether an ament package is installed below this workspace."""
+    """Return whether an ament package is installed below this workspace."""
     prefixes = env.get('AMENT_PREFIX_PATH', '').split(':')
     marker = Path('share/ament_index/resource_index/packages') / name
     return any(p and (Path(p) / marker).exists() for p in prefixes)

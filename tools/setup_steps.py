@@ -49,7 +49,7 @@ class Steps:
             self._done = {}
 
     def is_done(self, name: str, fingerprint: str) -> bool:
-        """Tell whether a step succeeded with these inputs."""
+        """Return whether a step succeeded with these inputs."""
         return bool(self._done.get(name) == fingerprint)
 
     def forget(self, name: str) -> None:

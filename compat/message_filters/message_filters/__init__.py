@@ -21,7 +21,7 @@ NS_PER_S = 1_000_000_000
 
 
 class SimpleFilter:
-    """Hands messages on to callbacks.
+    """Passes messages to callbacks.
 
     Attributes:
         callbacks: Callback and additional arguments by connection number.
@@ -43,7 +43,7 @@ class SimpleFilter:
 
 
 class Subscriber(SimpleFilter):
-    """Hands on what arrives on a topic.
+    """Passes on the messages of a topic.
 
     Args:
         node: Node that subscribes.
@@ -71,7 +71,7 @@ class Subscriber(SimpleFilter):
 
 
 class TimeSynchronizer(SimpleFilter):
-    """Hands on one message of each input, all with the same stamp.
+    """Passes on one message of each input, all with the same stamp.
 
     A set that is complete leaves the queues. Where a queue overflows, its oldest message goes.
 
@@ -92,7 +92,7 @@ class TimeSynchronizer(SimpleFilter):
             each.registerCallback(self.add, queue, index)
 
     def add(self, msg: Any, my_queue: dict[int, Any], my_queue_index: int) -> None:  # noqa: ANN401
-        """Take a message of an input."""
+        """Add a message of an input."""
         with self.lock:
             stamp = self._keep(msg, my_queue)
             self._match(stamp, my_queue_index)
@@ -106,9 +106,9 @@ class TimeSynchronizer(SimpleFilter):
 
     def _match(self, _stamp: int, _index: int) -> None:
         for stamp in sorted(set(self.queues[0]).intersection(*self.queues[1:])):
-            self._hand_on([stamp] * len(self.queues))
+            self._pass_on([stamp] * len(self.queues))
 
-    def _hand_on(self, stamps: Sequence[int]) -> None:
+    def _pass_on(self, stamps: Sequence[int]) -> None:
         pairs = list(zip(self.queues, stamps, strict=True))
         self.signalMessage(*(queue[stamp] for queue, stamp in pairs))
         for queue, stamp in pairs:
@@ -116,7 +116,7 @@ class TimeSynchronizer(SimpleFilter):
 
 
 class ApproximateTimeSynchronizer(TimeSynchronizer):
-    """Hands on one message of each input, whose stamps differ by less than a limit.
+    """Passes on one message of each input, whose stamps differ by less than a limit.
 
     Each new message is matched with the nearest of the other inputs.
 
@@ -139,5 +139,5 @@ class ApproximateTimeSynchronizer(TimeSynchronizer):
         choices[index] = [stamp] if stamp in self.queues[index] else []
         for stamps in itertools.product(*choices):
             if max(stamps) - min(stamps) < self._slop_ns:
-                self._hand_on(stamps)
+                self._pass_on(stamps)
                 return

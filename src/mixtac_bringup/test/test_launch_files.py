@@ -24,13 +24,6 @@ from mixtac_core.node.process import GraphError
 from mixtac_core.node.topics import EVENTS, FORCE, IMAGE_RAW
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
-FILES = ('sensor', 'replay', 'record')
-
-
-@pytest.mark.parametrize('name', FILES)
-def test_every_launch_file_takes_the_usual_arguments(launch_arguments, name):
-    usual = {'device', 'namespace', 'params_file', 'log_level'}
-    assert usual <= set(launch_arguments(LAUNCH / f'{name}.launch.py'))
 
 
 def processes(name: str, **values: str):
@@ -102,6 +95,7 @@ def test_parameters_of_the_user_are_read_after_the_shipped_ones(tmp_path):
 def test_slip_control_starts_the_sensor_where_a_device_is_named():
     alone, _ = processes('slip_control')
     assert names(alone) == [('mixtac_slip_control', 'slip_control_node')]
+    assert '-p' not in words(alone[0])
     found, _ = processes('slip_control', device='virtual', arm='fr3')
     assert names(found) == graph_names('virtual', slip={})
     assert "device:='virtual'" in words(found[1])
@@ -128,17 +122,6 @@ def test_a_recording_brings_its_sensor(device):
     found, _ = processes('record', output='/some/new', device=device)
     assert names(found) == [*(graph_names(device) if device else []), '']
     assert {'mixtac', 'record', '/some/new'} <= set(words(found[-1]))
-
-
-def test_slip_control_takes_its_arm_and_law():
-    found, _ = processes('slip_control', arm='fr3', law='paper')
-    assert names(found) == [('mixtac_slip_control', 'slip_control_node')]
-    assert {"arm:='fr3'", "law:='paper'"} <= set(words(found[0]))
-
-
-def test_slip_control_leaves_to_its_parameter_file_what_is_not_given():
-    found, _ = processes('slip_control')
-    assert '-p' not in words(found[0])
 
 
 def test_numbers_may_have_an_exponent():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The base class of every error that users may see, and the line that says it.
+"""The base class of every error that users may see, and the line that reports it.
 
 Apart, because all modules import it.
 """
@@ -41,8 +41,8 @@ ERROR = 'error: '
 
 
 def error_line(text: str) -> str:
-    """Return the one line that says why a process ends.
+    """Return the one line that reports why a process ends.
 
-    Names of files may hold new lines, and what terminals obey: both are shown as escapes.
+    Names of files may hold new lines and control characters: both are shown as escapes.
     """
     return ERROR + ''.join(each if each.isprintable() else repr(each)[1:-1] for each in text)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-PICTURE_KERNELS = 'what reads pictures'
+PICTURE_KERNELS = 'the picture kernels'
 """Name under which programs compile these and what calls them; see `mixtac_core.node.process`."""
 
 

@@ -54,6 +54,13 @@ TOO_LONG: Final = -2
 OUTSIDE: Final = -3
 UNKNOWN_CODE: Final = -4
 NO_START: Final = -5
+_FAULTS: Final = {
+    UNSORTED: 'earlier than the event before it; sort events by t',
+    TOO_LONG: f'the packet is longer than {MAX_SPAN_US} us; cut the stream into shorter packets',
+    OUTSIDE: f'outside the sensor, or beyond {MAX_COORDINATE}; give the size of the right camera',
+    UNKNOWN_CODE: 'unknown code: not libcaer_cmp, or damaged',
+    NO_START: 'an event without column or row: the packet lost its start',
+}
 
 
 @njit(cache=True, nogil=True)
@@ -258,26 +265,10 @@ def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
     words = np.empty(4 * len(events) + 2, np.uint16)
     used, at = encode_words(events.t, events.x, events.y, events.polarity, end, words)
     if used < 0:
-        raise _encode_error(used, events, at, end)
+        at = min(at, len(events) - 1)
+        where = f'event {at} at ({events.x[at]}, {events.y[at]}), {events.t[at]} us'
+        raise CodecError(f'{where}: {_FAULTS[used]}')
     return EncodedPacket(start * 1000, words[:used].view(np.uint8).copy())
-
-
-def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
-    if fault == UNSORTED:
-        before = int(events.t[at - 1])
-        return CodecError(
-            f'event {at} is at {events.t[at]} us, before the one at {before} us: sort events by t'
-        )
-    if fault == TOO_LONG:
-        last = int(events.t[at]) if at < len(events) else end
-        return CodecError(
-            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds '
-            f'{MAX_SPAN_US} us: cut the stream into shorter packets'
-        )
-    return CodecError(
-        f'event {at} lies at ({events.x[at]}, {events.y[at]}); libcaer_cmp holds coordinates up to '
-        f'{MAX_COORDINATE}'
-    )
 
 
 def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int) -> DecodedPacket:
@@ -299,27 +290,16 @@ def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
     words = payload.view(np.uint16)
     count, at = count_events(words)
     if count < 0:
-        raise _decode_error(count, words, at, width, height)
+        raise _damaged(words, at, count, width, height)
     events = Events.empty(count)
     dt, at = decode_words(
         words, start_us, width, height, events.t, events.x, events.y, events.polarity
     )
     if dt < 0:
-        raise _decode_error(dt, words, at, width, height)
+        raise _damaged(words, at, dt, width, height)
     return DecodedPacket(events, start_us + dt)
 
 
-def _decode_error(
-    fault: int, words: NDArray[np.uint16], at: int, width: int, height: int
-) -> CodecError:
-    where = f'libcaer_cmp word {at} (0x{int(words[at]):04x})'
-    if fault == UNKNOWN_CODE:
-        return CodecError(
-            f'{where} has unknown code {words[at] >> 12}: not libcaer_cmp, or damaged'
-        )
-    if fault == NO_START:
-        return CodecError(f'{where} is an event without column or row: the packet lost its start')
-    return CodecError(
-        f'{where} is an event outside the sensor of {width} x {height}: give the width and height '
-        'of the camera that made the packet'
-    )
+def _damaged(words: Words, at: int, fault: int, width: int, height: int) -> CodecError:
+    where = f'libcaer_cmp word {at} (0x{int(words[at]):04x}), sensor of {width} x {height}'
+    return CodecError(f'{where}: {_FAULTS[fault]}')

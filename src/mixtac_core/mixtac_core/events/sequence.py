@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing in a stream: messages by their numbers, and stretches of time by what they cover.
+"""Gaps of a stream: messages missing by number, and stretches of time that no packet covers.
 
 Everything that receives event packets counts losses with it.
 """
@@ -92,7 +92,7 @@ class StreamTime:
         self._hole_us = (0, 0)
 
     def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
-        """Take the times of a packet and return how it relates to the one before.
+        """Add the times of a packet and return how it relates to the one before.
 
         Args:
             first_us: Its first event, or `complete_until_us` without one.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Between `sensor_msgs/Image` and NumPy arrays, without cv_bridge.
+"""Conversion between `sensor_msgs/Image` and NumPy arrays, without cv_bridge.
 
 The Python part of cv_bridge cannot swap bytes with NumPy 2 and assumes that the padding of a row is
 a whole number of pixels. Colours are converted by the OpenCV functions that it uses. Messages are

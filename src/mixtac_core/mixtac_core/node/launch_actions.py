@@ -30,25 +30,16 @@ from mixtac_core.node.topics import DEFAULT_NAMESPACE
 
 BOOLEAN = ['true', 'false']
 LOGGER = get_logger('launch')
-_SHARED: dict[str, dict[str, Any]] = {
-    'namespace': {
-        'default_value': DEFAULT_NAMESPACE,
-        'description': 'Namespace of all nodes and topics',
-    },
-    'params_file': {
-        'default_value': '',
-        'description': 'Parameter file that overrides the shipped ones',
-    },
-    'autostart': {
-        'default_value': 'true',
-        'choices': BOOLEAN,
-        'description': 'Configure and activate the force estimator',
-    },
-    'log_level': {
-        'default_value': 'info',
-        'description': 'Lowest severity that the nodes log: debug, info, warn, error or fatal',
-    },
+_SHARED = {
+    'namespace': (DEFAULT_NAMESPACE, 'Namespace of all nodes and topics'),
+    'params_file': ('', 'Parameter file that overrides the shipped ones'),
+    'autostart': ('true', 'Configure and activate the force estimator'),
+    'log_level': (
+        'info',
+        'Lowest severity that the nodes log: debug, info, warn, error or fatal',
+    ),
 }
+"""Default and description of the launch arguments that several launch files have."""
 
 
 def shared_arguments(*names: str) -> list[Any]:
@@ -57,7 +48,12 @@ def shared_arguments(*names: str) -> list[Any]:
     Args:
         names: `namespace`, `params_file`, `autostart` or `log_level`.
     """
-    return [DeclareLaunchArgument(name, **_SHARED[name]) for name in names]
+    found = []
+    for name in names:
+        default, text = _SHARED[name]
+        own: dict[str, Any] = {'choices': BOOLEAN} if default in BOOLEAN else {}
+        found.append(DeclareLaunchArgument(name, default_value=default, description=text, **own))
+    return found
 
 
 def environment() -> list[Any]:
@@ -102,7 +98,36 @@ def node_actions(
         GraphError: The parameter file does not exist.
     """
     nodes = [(spec.name if spec.required else '', _node(context, spec)) for spec in specs]
-    return _Graph([*nodes, *(('', node) for node in beside)]).actions()
+    nodes += [('', node) for node in beside]
+    failures: list[GraphError] = []
+    running = len(nodes)
+
+    def watched(name: str, node: Node) -> list[Any]:
+        reason = f'{name} has ended'
+
+        def read(event: Any) -> None:  # noqa: ANN401
+            nonlocal reason
+            for line in event.text.decode(errors='replace').splitlines():
+                if text := fatal_text(line):
+                    reason = f'{name}: {text}'
+
+        def ended(_event: object, context: LaunchContext) -> None:
+            nonlocal running
+            running -= 1
+            if name and not context.is_shutdown:
+                failures.append(GraphError(reason))
+                # Unlike the event Shutdown, an exception gives the launch a status other than 0.
+                raise failures[0]
+            if not running and failures:
+                LOGGER.error(str(failures[0]))
+
+        return [
+            RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
+            RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
+            node,
+        ]
+
+    return [action for name, node in nodes for action in watched(name, node)]
 
 
 def _node(context: LaunchContext, spec: NodeSpec) -> Node:
@@ -133,40 +158,3 @@ def quiet_imports() -> str:
     prefix = ['env', '--block-signal=INT']
     supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
     return ' '.join(prefix) if supported else ''
-
-
-class _Graph:
-    """The nodes that are started together, with the names of those that the graph needs."""
-
-    def __init__(self, nodes: Sequence[tuple[str, Node]]) -> None:
-        self._nodes = nodes
-        self._running = len(nodes)
-        self._failure: GraphError | None = None
-
-    def actions(self) -> list[Any]:
-        """Return the nodes and their event handlers."""
-        return [action for name, node in self._nodes for action in self._watched(name, node)]
-
-    def _watched(self, name: str, node: Node) -> list[Any]:
-        reason = f'{name} has ended'
-
-        def read(event: Any) -> None:  # noqa: ANN401
-            nonlocal reason
-            for line in event.text.decode(errors='replace').splitlines():
-                if text := fatal_text(line):
-                    reason = f'{name}: {text}'
-
-        def ended(_event: object, context: LaunchContext) -> None:
-            self._running -= 1
-            if name and not context.is_shutdown:
-                self._failure = GraphError(reason)
-                # Unlike the event Shutdown, an exception gives the launch a status other than 0.
-                raise self._failure
-            if not self._running and self._failure:
-                LOGGER.error(str(self._failure))
-
-        return [
-            RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
-            RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
-            node,
-        ]

@@ -127,7 +127,7 @@ _LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
 def fatal_text(line: str) -> str:
     """Return why a node ends, from a line of its stderr; empty for other lines."""
     if line.startswith(_STUCK):
-        return f'nothing returned to the executor for {STUCK_S:g} s; a traceback says what ran'
+        return f'nothing returned to the executor for {STUCK_S:g} s; a traceback shows what ran'
     return line.removeprefix(ERROR).strip() if line.startswith(ERROR) else ''
 
 

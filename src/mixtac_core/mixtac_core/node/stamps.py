@@ -12,15 +12,12 @@ if TYPE_CHECKING:
 
 def us_to_stamp(t_us: int) -> Time:
     """Return a time [us since the epoch of its clock] as a ROS stamp."""
-    from builtin_interfaces.msg import Time
-
-    seconds, microseconds = divmod(int(t_us), 1_000_000)
-    return Time(sec=seconds, nanosec=microseconds * 1000)
+    return ns_to_stamp(1000 * int(t_us))
 
 
 def stamp_to_us(stamp: Time) -> int:
     """Return a ROS stamp as whole microseconds (rounded down) of its clock."""
-    return int(stamp.sec * 1_000_000 + stamp.nanosec // 1000)
+    return stamp_to_ns(stamp) // 1000
 
 
 def ns_to_stamp(t_ns: int) -> Time:

@@ -82,16 +82,6 @@ def test_single_events_and_vectors():
     assert found.complete_until == 0x200C
 
 
-def test_events_outside_the_sensor_are_left_out():
-    payload = words(
-        (TIME_HIGH, 0), (TIME_LOW, 1), (ROW, 479), (EVENT, 640), (BASE, 638), (VECTOR_8, 0b101)
-    )
-    more = words((ROW, 480), (EVENT, 1))
-    decoder = StreamDecoder()
-    assert rows(decoder.decode(message(payload))) == [(1, 638, 479, False)]
-    assert rows(decoder.decode(message(more))) == []
-
-
 @given(st.lists(st.integers(1, 15_000_000), min_size=1, max_size=20), st.integers(0, 3))
 def test_times_roll_over_and_packets_may_be_cut_anywhere(steps, early):
     times = np.cumsum(steps).tolist()

@@ -93,13 +93,9 @@ def start(ros_domain: dict[str, str]):
         process.communicate()
 
 
-@given(st.integers(0, 2**31 * 1_000_000 - 1))
-def test_stamps_round_trip_in_microseconds(t_us: int):
-    assert stamp_to_us(us_to_stamp(t_us)) == t_us
-
-
 @given(st.integers(0, 2**31 * 1_000_000_000 - 1))
-def test_stamps_round_trip_in_nanoseconds(t_ns: int):
+def test_stamps_round_trip(t_ns: int):
+    assert stamp_to_us(us_to_stamp(t_ns // 1000)) == t_ns // 1000
     assert stamp_to_ns(ns_to_stamp(t_ns)) == t_ns
     assert stamp_to_us(ns_to_stamp(t_ns)) == t_ns // 1000
 

@@ -49,6 +49,9 @@ def test_a_file_appears_whole_with_its_folder(tmp_path):
     write_json(path, {'a': [1, 2]})
     assert json.loads(path.read_text()) == {'a': [1, 2]}
     assert [each.name for each in path.parent.iterdir()] == ['data.json']
+    with replacing(tmp_path / 'x.npz') as scratch:
+        assert scratch.suffix == '.npz'
+        scratch.touch()
 
 
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -92,12 +95,6 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert caught.value.remedy
 
 
-def test_the_temporary_file_keeps_the_suffix(tmp_path):
-    with replacing(tmp_path / 'x.npz') as scratch:
-        assert scratch.suffix == '.npz'
-        scratch.touch()
-
-
 def test_an_unwritable_place_is_named(tmp_path):
     (tmp_path / 'file').touch()
     path = tmp_path / 'file' / 'below.json'
@@ -105,6 +102,8 @@ def test_an_unwritable_place_is_named(tmp_path):
         write_json(path, {})
     assert str(path) in str(caught.value)
     assert caught.value.remedy
+    with pytest.raises(FileError):
+        read_dataclass(tmp_path / 'none.yaml', Config)
 
 
 def test_yaml_becomes_a_dataclass(tmp_path):
@@ -150,11 +149,6 @@ def test_a_file_that_is_not_yaml_is_refused(tmp_path, content):
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(FileError):
-        read_dataclass(tmp_path / 'none.yaml', Config)
-
-
 @pytest.mark.parametrize('name', ['', 'folder', 'file/below', 'a' * 300, 'pipe', 'device'])
 def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, name):
     (tmp_path / 'folder').mkdir()
@@ -163,12 +157,8 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, name):
     (tmp_path / 'device').symlink_to(os.devnull)
     with pytest.raises(FileError):
         writable(tmp_path / name)
-
-
-def test_what_can_be_written_is_left_alone(tmp_path):
     path = tmp_path / 'new' / 'x.json'
     assert writable(path) == path
-    assert writable(None) is None
     assert not path.parent.exists()
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError, dataclass
+from dataclasses import dataclass
 
 import pytest
 import yaml
@@ -51,15 +51,6 @@ class Longer(Example):
     exposure: int = parameter(7000)
 
 
-def test_defaults_are_the_schema_defaults():
-    assert build(Example, {}) == Example('davis346', 5000, 1e-3, True)
-
-
-def test_instances_are_frozen():
-    with pytest.raises(FrozenInstanceError):
-        build(Example, {}).exposure = 1
-
-
 def test_specs_carry_what_ros_needs():
     by_name = {spec.name: spec for spec in specs(Example)}
     assert list(by_name) == ['device', 'exposure', 'interval', 'enabled']
@@ -79,23 +70,18 @@ def test_descriptions_are_those_of_the_docstrings():
     }
 
 
-@given(st.integers(0, 1_000_000), st.floats(1e-4, 0.1))
-def test_allowed_values_are_kept(exposure: int, interval: float):
-    built = build(Example, {'exposure': exposure, 'interval': interval})
-    assert (built.exposure, built.interval) == (exposure, interval)
-
-
-@given(st.one_of(st.integers(max_value=-1), st.integers(min_value=1_000_001)))
-def test_out_of_range_names_the_value_and_the_range(value: int):
-    with pytest.raises(ParameterError) as caught:
-        build(Example, {'exposure': value})
-    assert str(value) in str(caught.value)
-    assert '1000000' in str(caught.value)
+def test_values_are_checked_and_absent_ones_have_their_defaults():
+    assert build(Example, {}) == Example('davis346', 5000, 1e-3, True)
+    assert build(Example, {'exposure': 1_000_000, 'interval': 0.1}).exposure == 1_000_000
+    assert build(Anything, {'number': 2}).number == 2.0
+    assert isinstance(build(Anything, {'number': 2}).number, float)
 
 
 @pytest.mark.parametrize(
     ('name', 'value'),
     [
+        ('exposure', -1),
+        ('exposure', 1_000_001),
         ('exposure', 1.5),
         ('exposure', True),
         ('exposure', 'long'),
@@ -111,20 +97,6 @@ def test_wrong_values_are_refused_by_name(name: str, value: object):
     with pytest.raises(ParameterError) as caught:
         build(Example, {name: value})
     assert name in str(caught.value)
-
-
-def test_a_whole_number_is_a_float_where_one_is_wanted():
-    @dataclass(frozen=True)
-    class Gain:
-        """One gain."""
-
-        gain: float = parameter(0.5, within=(0, 10))
-
-    built = build(Gain, {'gain': 2})
-    assert isinstance(built.gain, float)
-    assert built.gain == 2.0
-    with pytest.raises(ParameterError):
-        build(Gain, {'gain': False})
 
 
 @dataclass(frozen=True)

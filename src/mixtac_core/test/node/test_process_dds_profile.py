@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -15,27 +13,6 @@ import psutil
 import pytest
 
 from mixtac_core.node.process import FASTDDS_VARIABLES, profile_environment
-
-PACKETS, PACKET = 1000, 3000
-STALLED = """
-import sys, time
-import rclpy
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Image
-
-rclpy.init()
-node = rclpy.create_node('stalled')
-qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-got = []
-node.create_subscription(Image, 'data', lambda m: got.append(m.width), qos)
-while 0 not in got:
-    rclpy.spin_once(node, timeout_sec=0.1)
-print('matched', flush=True)
-end = time.monotonic() + 10
-while (not got or got[-1] != int(sys.argv[1])) and time.monotonic() < end:
-    rclpy.spin_once(node, timeout_sec=0.1)
-print(len({each for each in got if each}), flush=True)
-"""
 
 
 def uses_fast_dds() -> bool:
@@ -73,54 +50,6 @@ def test_the_environment_of_a_clone_follows_the_range_as_well() -> None:
     script += f'export {FASTDDS_VARIABLES[0]}=/mine.xml; {source}; {show}'
     shown = subprocess.run(['bash', '-c', script], check=True, capture_output=True, text=True)
     assert [Path(each).name for each in shown.stdout.split()] == ['network.xml', 'mine.xml']
-
-
-def received_of_a_burst_while_stopped(env: dict[str, str]) -> int:
-    import rclpy
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-    from sensor_msgs.msg import Image
-
-    process = subprocess.Popen(
-        [sys.executable, '-c', STALLED, str(PACKETS)], env=env, stdout=subprocess.PIPE, text=True
-    )
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(env['ROS_DOMAIN_ID']))
-    node = rclpy.create_node('sender', context=context)
-    qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = node.create_publisher(Image, 'data', qos)
-    message = Image()
-    message.data.frombytes(bytes(PACKET))
-    try:
-        deadline = time.monotonic() + 60.0
-        while not publisher.get_subscription_count() and time.monotonic() < deadline:
-            time.sleep(0.1)
-        for _ in range(5):
-            publisher.publish(message)
-            time.sleep(0.1)
-        assert process.stdout is not None
-        assert process.stdout.readline() == 'matched\n'
-        process.send_signal(signal.SIGSTOP)
-        for number in range(1, PACKETS + 1):
-            message.width = number
-            publisher.publish(message)
-        process.send_signal(signal.SIGCONT)
-        return int(process.stdout.readline())
-    finally:
-        process.kill()
-        process.wait()
-        node.destroy_node()
-        context.try_shutdown()
-
-
-@pytest.mark.dds
-def test_a_stopped_subscriber_gets_what_was_sent_meanwhile(ros_domain: dict[str, str]) -> None:
-    if not uses_fast_dds():
-        pytest.skip('needs rmw_fastrtps')
-    # Stopped while it holds the lock of its queue, a subscriber is taken for dead: one in ten.
-    found: list[int] = []
-    while len(found) < 4 and PACKETS not in found:
-        found.append(received_of_a_burst_while_stopped(ros_domain))
-    assert PACKETS in found
 
 
 @pytest.mark.dds

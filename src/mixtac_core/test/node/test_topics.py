@@ -8,14 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.node.topics import EVENTS, WrenchWriter, absolute
-
-
-def test_a_topic_lies_in_its_namespace_or_in_the_outermost_one():
-    names = {EVENTS.resolved(namespace) for namespace in ('left/tip', '/left/tip/')}
-    assert names == {'/left/tip/events'}
-    assert EVENTS.resolved('/') == '/events'
-
+from mixtac_core.node.topics import WrenchWriter, absolute
 
 names = st.text(st.characters(min_codepoint=32, max_codepoint=0x3FF), max_size=20)
 
