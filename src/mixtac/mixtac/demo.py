@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import importlib.util
 import os
 import time
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from rich.console import Console
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_figure, save_figure
 from mixtac.live import sensor_values, show
 from mixtac.options import JsonFile, OptionalPath
-from mixtac.up import start_nodes
+from mixtac.up import show_without_ros, start_nodes
 from mixtac_core.events.codec import decode_message
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.events.windows import counts_per_window
@@ -98,6 +99,14 @@ def demo(
 ) -> None:
     """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
     console = Console(markup=False)
+    if importlib.util.find_spec('rclpy') is None:
+        if out or json:
+            raise GraphError(
+                'without ROS 2 the demo writes nothing', remedy='give neither --out nor --json'
+            )
+        show_without_ros('virtual:demo', str(model or ''), seconds)
+        console.print('./mixtac demo of a checkout brings ROS 2, records, compares and draws')
+        return
     folder = out or Path('demo_out') / f'{dt.datetime.now().astimezone():%Y%m%d-%H%M%S}'
     # Apart from other ROS graphs on this machine.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'

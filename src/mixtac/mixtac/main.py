@@ -143,17 +143,24 @@ def load(target: str) -> Any:  # noqa: ANN401
     try:
         return getattr(importlib.import_module(module), name)
     except ModuleNotFoundError as error:
-        if error.name is None or (error.name.startswith('mixtac') and error.name in module):
-            remedy = 'install the whole of Mixtac, not only the part for robots'
-        else:
-            remedy = f"install it: pip install '{error.name}', or an extra of pyproject.toml"
-        failure = MixtacError(f'{error.name} is not installed', remedy=remedy)
+        failure = missing(error)
 
     def absent() -> None:
         raise failure
 
     absent.__doc__ = str(failure)
     return absent
+
+
+def missing(error: ModuleNotFoundError) -> MixtacError:
+    """Return the error about a package that is not installed, with its remedy."""
+    name = str(error.name).partition('.')[0]
+    remedy = f"install it: pip install '{name}', or an extra of pyproject.toml"
+    if name == 'rclpy' or name.endswith('_msgs'):
+        remedy = 'this needs ROS 2: source it, or run ./mixtac of a checkout, which brings it'
+    elif name.startswith('mixtac'):
+        remedy = 'install the whole of Mixtac, not only the part for robots'
+    return MixtacError(f'{name} is not installed', remedy=remedy)
 
 
 def root() -> Any:  # noqa: ANN401
@@ -182,6 +189,8 @@ def main(arguments: list[str] | None = None) -> int:
     except typer.Exit as leave:
         return leave.exit_code
     except (typer.Abort, KeyboardInterrupt, Exception) as error:
+        if isinstance(error, ModuleNotFoundError) and not interrupted:
+            error = missing(error)
         expected = isinstance(error, MixtacError | OSError)
         # A library may have made its own error of an interrupt.
         if isinstance(error, (typer.Abort, KeyboardInterrupt)) or (interrupted and not expected):

@@ -11,21 +11,23 @@ from __future__ import annotations
 import json
 import select
 import signal
+import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Final
 
 from mixtac.latest import SensorError
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.node.process import JsonProcess
+from mixtac_core.node.process import STOP_GRACE_S, ending_with_parent
 
 NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-START_S: Final = 600.0
-"""Longest time to start [s]: the first time the simulation compiles, on a busy computer slowly."""
+REPORT_S: Final = 10.0
+"""Time between two lines while a virtual sensor starts [s]."""
 
 
 class VirtualProcess:
@@ -44,21 +46,40 @@ class VirtualProcess:
 
     def __init__(self, scenario: str) -> None:
         command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
-        self._process = JsonProcess('the virtual sensor', command)
-        try:
-            found = self._process.expect('device', START_S)
-        except MixtacError as error:
+        self._process = subprocess.Popen(
+            ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        found = self._answer()
+        if not found.get('device'):
             self.close()
-            remedy = 'see what it printed, or try again while the computer does less'
-            raise SensorError(str(error), remedy=remedy) from error
-        if found.get('error'):
-            self.close()
-            raise SensorError(str(found['error']))
+            why = found.get('error') or 'the virtual sensor ended before it was ready'
+            raise SensorError(str(why), remedy='see what it printed')
         self.device = str(found['device'])
+
+    def _answer(self) -> dict[str, str]:
+        """Wait for the line of JSON as long as the process runs; return nothing if it ended."""
+        output, began_s = self._process.stdout, time.monotonic()
+        assert output is not None  # noqa: S101  (always piped)
+        while True:
+            if not select.select([output], [], [], REPORT_S)[0]:
+                waited_s = time.monotonic() - began_s
+                text = (
+                    f'waiting for the virtual sensor for {waited_s:.0f} s: a first start compiles'
+                )
+                print(text, file=sys.stderr)
+            elif not (line := output.readline()):
+                return {}
+            elif line.startswith('{'):
+                return dict(json.loads(line))
 
     def close(self) -> None:
         """End the process."""
-        self._process.stop()
+        self._process.terminate()
+        try:
+            self._process.wait(STOP_GRACE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        self._process.communicate()
 
 
 def serve(scenario: str) -> None:
