@@ -186,23 +186,26 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with noting_interrupt(interrupted):
             result = root()(arguments, prog_name='mixtac', standalone_mode=False)
-    except typer.Exit as leave:
-        return leave.exit_code
-    except (typer.Abort, KeyboardInterrupt, Exception) as error:
+        # Typer returns the status of an exit, and makes one of Ctrl-C.
+        status = result if isinstance(result, int) else 0
+    except (KeyboardInterrupt, Exception) as error:
         if isinstance(error, ModuleNotFoundError) and not interrupted:
             error = missing(error)
         expected = isinstance(error, MixtacError | OSError)
         # A library may have made its own error of an interrupt.
-        if isinstance(error, (typer.Abort, KeyboardInterrupt)) or (interrupted and not expected):
-            print('interrupted', file=sys.stderr)
-            return INTERRUPTED
-        if not expected and not hasattr(error, 'format_message'):
+        stopped = isinstance(error, (typer.Abort, KeyboardInterrupt)) or bool(interrupted)
+        if stopped and not expected:
+            status = INTERRUPTED
+        elif not expected and not hasattr(error, 'format_message'):
             raise
-        # Empty if the help was printed because no command was given.
-        if text := error_text(error):
-            print(error_line(text), file=sys.stderr)
-        return 1 if expected else 2
-    return result if isinstance(result, int) else 0
+        else:
+            # The text is empty if the help was printed because no command was given.
+            if text := error_text(error):
+                print(error_line(text), file=sys.stderr)
+            status = 1 if expected else 2
+    if status == INTERRUPTED:
+        print('interrupted', file=sys.stderr)
+    return status
 
 
 def error_text(error: Any) -> str:  # noqa: ANN401

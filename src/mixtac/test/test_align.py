@@ -156,7 +156,7 @@ def test_a_copy_keeps_what_was_said_of_the_bag_and_has_no_fit_of_another(
 
 def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: Path) -> None:
     refused = tmp_path / 'refused.json'
-    assert main(['align', str(bag), '--reference', '/other', '--json', str(refused)]) == 1
+    assert main(['align', str(bag), '--reference-topic', '/other', '--json', str(refused)]) == 1
     assert '/other' in json.loads(refused.read_text())[0]['refused']
     with pytest.raises(AlignmentError) as caught:
         read_fit(tmp_path / 'none')
