@@ -267,7 +267,6 @@ def slip(
         supervisor = {
             'knock_every': every if disturb > 0.0 else 0.0,
             'figure': str(figure.absolute()),
-            'grip': True,
             **simulated,
         }
         # The contact is not needed, and costs as much as the force.

@@ -123,8 +123,7 @@ def evaluate(
     preset: Preset = TRAINING_PRESET,
     reference: ReferenceTopic = REFERENCE,
     figures: Annotated[
-        OptionalPath,
-        typer.Option('--figure', help='Image file for plots of the trials.', callback=writable),
+        OptionalPath, typer.Option('--figure', help='Image file for the plots.', callback=writable)
     ] = None,
     series: Annotated[
         OptionalPath,
