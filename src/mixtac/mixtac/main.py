@@ -110,11 +110,14 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
         name: Its name.
         target: `COMMANDS`, or one of its values.
     """
-    helped = {'help_option_names': ['-h', '--help']}
+    helped: dict[str, Any] = {'help_option_names': ['-h', '--help']}
     panel = SHOWN_IN.get(name)
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=helped)
     found = load(target) if isinstance(target, str) else target
     if callable(found):
+        if found.__name__ == 'absent':
+            # Whatever is given to it, it says what is not installed.
+            helped |= {'ignore_unknown_options': True, 'allow_extra_args': True}
         app.command(name, rich_help_panel=panel, context_settings=helped)(found)
         command = get_command(app)
     else:
