@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, cast
 
@@ -32,46 +30,6 @@ CLOSE_S: Final = 0.08
 """Time shown to either side of an anchor."""
 
 
-@dataclass(frozen=True, slots=True)
-class BagOutcome:
-    """Result of aligning one bag.
-
-    Attributes:
-        bag: Name of the bag, one that no other of the run has.
-        fit: Its clock map; None if it was refused.
-        reason: Why it was refused.
-        seconds: Computing time [s].
-        damage: What of the bag is missing; empty for a sound one.
-    """
-
-    bag: str
-    fit: ClockFit | None
-    reason: str
-    seconds: float
-    damage: str = ''
-
-    def as_dict(self) -> dict[str, object]:
-        """Return the fields for JSON."""
-        fields = {} if self.fit is None else self.fit.to_fields()
-        own = {'bag': self.bag, 'refused': self.reason, 'seconds': self.seconds}
-        return {**own, 'damage': self.damage, **fields}
-
-    def row(self) -> list[str]:
-        """Return the row of the table."""
-        fit, took = self.fit, f'{self.seconds:.2f}'
-        if fit is None:
-            return [self.bag, 'refused', self.reason, '', '', took]
-        first, last = fit.anchors[0].camera_us, fit.anchors[-1].camera_us
-        return [
-            self.bag,
-            fit.method,
-            f'{fit.drift_ppm:+.1f} +- {1e6 * float(fit.covariance[0, 0]) ** 0.5:.1f}',
-            f'{1e3 * float(fit.std_at((first + last) // 2)):.2f}',
-            f'{(last - first) * 1e-6:.1f}',
-            took,
-        ]
-
-
 def align(
     bags: Annotated[list[Path], typer.Argument(help='Bags, or folders of bags (data sets).')],
     reference: ReferenceTopic = topics.REFERENCE,
@@ -95,30 +53,34 @@ def align(
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
-    console, many = Console(markup=False), len(found) > 1
-    shown = distinct_names(found)
-    outcomes = [
-        align_bag(
-            bag,
-            name=shown[bag],
-            method=cast('Method', method),
-            reference=reference,
-            namespace=namespace,
-            rewrite=rewrite,
-            figures=figure,
-        )
-        for bag in track(found, 'aligning', console=console, disable=not many)
-    ]
+    console, shown = Console(markup=False), distinct_names(found)
+    results, rows, damages = [], [], []
+    for bag in track(found, 'aligning', console=console, disable=len(found) == 1):
+        name, began_s, fit, refused, damage = shown[bag], time.perf_counter(), None, '', ''
+        try:
+            fit, damage = align_bag(
+                bag,
+                name=name,
+                method=cast('Method', method),
+                reference=reference,
+                namespace=namespace,
+                rewrite=rewrite,
+                figures=figure,
+            )
+        except MixtacError as error:
+            refused = str(error)
+        took_s = time.perf_counter() - began_s
+        rows.append([name, *_row(fit, refused), f'{took_s:.2f}'])
+        fields = {'bag': name, 'refused': refused, 'seconds': took_s, 'damage': damage}
+        results.append(fields | ({} if fit is None else fit.to_fields()))
+        damages += [f'warning: {name}: {damage}'] if damage else []
     columns = ('drift [ppm]', 'std. mid-recording [ms]', 'baseline [s]', 'time [s]')
-    rows = [outcome.row() for outcome in outcomes]
     console.print(make_table('', ('bag', 'method', *columns), rows, words=3))
-    for outcome in outcomes:
-        if outcome.damage:
-            text = f'warning: {outcome.bag}: {outcome.damage}'
-            console.print(text, style='yellow')
-    write_json(json, [outcome.as_dict() for outcome in outcomes])
-    if any(outcome.fit is None for outcome in outcomes):
-        sys.exit(1)
+    for each in damages:
+        console.print(each, style='yellow')
+    write_json(json, results)
+    if any(each['refused'] for each in results):
+        raise typer.Exit(1)
 
 
 def align_bag(
@@ -130,32 +92,43 @@ def align_bag(
     namespace: str = f'/{topics.DEFAULT_NAMESPACE}',
     rewrite: Path | None = None,
     figures: Path | None = None,
-) -> BagOutcome:
-    """Align one bag; a refusal is an outcome too.
+) -> tuple[ClockFit, str]:
+    """Align one bag; return its clock fit, and what of the bag is missing (empty for a sound one).
 
     Args:
         bag: Folder of the bag.
-        name: Name of the outcome, the figure and the copy; empty for that of the bag.
+        name: Name of the figure and the copy; empty for that of the bag.
         method: As in `align.align`.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics, with its leading slash.
         rewrite: Folder for a copy of the bag on one clock.
         figures: Folder for the figure.
+
+    Raises:
+        MixtacError: The bag cannot be read, or its clocks cannot be aligned.
     """
-    began, name = time.perf_counter(), name or bag.name
-    edges_only = method == 'edges'
-    try:
-        recording = read_recording(bag, reference, namespace, edges_only=edges_only)
-        fit = align_recording(recording, method=method)
-        write_fit(fit, bag)
-        took = time.perf_counter() - began
-        if rewrite is not None:
-            rewrite_bag(bag, fit, rewrite / name, reference, namespace)
-        if figures is not None and not edges_only:
-            draw_alignment(figures / f'{name}.png', recording, fit, name)
-    except MixtacError as error:
-        return BagOutcome(name, None, str(error), time.perf_counter() - began)
-    return BagOutcome(name, fit, '', took, recording.damage)
+    name, edges_only = name or bag.name, method == 'edges'
+    recording = read_recording(bag, reference, namespace, edges_only=edges_only)
+    fit = align_recording(recording, method=method)
+    write_fit(fit, bag)
+    if rewrite is not None:
+        rewrite_bag(bag, fit, rewrite / name, reference, namespace)
+    if figures is not None and not edges_only:
+        draw_alignment(figures / f'{name}.png', recording, fit, name)
+    return fit, recording.damage
+
+
+def _row(fit: ClockFit | None, refused: str) -> list[str]:
+    """Return method, drift, deviation and baseline of a fit as text."""
+    if fit is None:
+        return ['refused', refused, '', '']
+    first, last = fit.anchors[0].camera_us, fit.anchors[-1].camera_us
+    return [
+        fit.method,
+        f'{fit.drift_ppm:+.1f} +- {1e6 * float(fit.covariance[0, 0]) ** 0.5:.1f}',
+        f'{1e3 * float(fit.std_at((first + last) // 2)):.2f}',
+        f'{(last - first) * 1e-6:.1f}',
+    ]
 
 
 def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) -> None:

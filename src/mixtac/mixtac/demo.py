@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import importlib.util
 import os
 import time
 from collections.abc import Mapping
@@ -20,9 +21,8 @@ from rich.console import Console
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_figure, save_figure
 from mixtac.live import sensor_values, show
 from mixtac.options import JsonFile, OptionalPath
-from mixtac.up import start_nodes
+from mixtac.up import show_without_ros, start_nodes
 from mixtac_core.events.codec import decode_message
-from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.events.windows import counts_per_window
 from mixtac_core.node import topics
 from mixtac_core.node.files import FileError, write_json
@@ -98,6 +98,14 @@ def demo(
 ) -> None:
     """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
     console = Console(markup=False)
+    if importlib.util.find_spec('rclpy') is None:
+        if out or json:
+            raise GraphError(
+                'without ROS 2 the demo writes nothing', remedy='give neither --out nor --json'
+            )
+        show_without_ros('virtual:demo', str(model or ''), seconds)
+        console.print('./mixtac demo of a checkout brings ROS 2, records, compares and draws')
+        return
     folder = out or Path('demo_out') / f'{dt.datetime.now().astimezone():%Y%m%d-%H%M%S}'
     # Apart from other ROS graphs on this machine.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -207,7 +215,6 @@ class Streams:
 
     Attributes:
         event_t_us: Event times, camera clock [us], int64.
-        lost_packets: Event packets missing by their sequence numbers.
         complete_us: Time up to which each event packet is complete, camera clock [us], int64.
         arrival_ns: Arrival of each event packet at the host [ns], int64.
         invalid: Forces that are marked as not valid.
@@ -219,7 +226,6 @@ class Streams:
     """
 
     event_t_us: I64
-    lost_packets: int
     complete_us: I64
     arrival_ns: I64
     invalid: int
@@ -289,8 +295,6 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         `aligned_by`: Method of the alignment.
         `event_rate_mev_s`: Mean event rate.
         `peak_event_rate_mev_s`: Highest event rate in 10 ms.
-        `packet_hz`: Rate of event packets.
-        `lost_packets`: Event packets missing in the recording.
         `refused`: Why the alignment was refused, or empty.
     """
     streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
@@ -320,8 +324,6 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         **aligned,
         'event_rate_mev_s': float(rate.mean() / 1e6),
         'peak_event_rate_mev_s': float(rate.max() / 1e6),
-        'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
-        'lost_packets': streams.lost_packets,
         'refused': refused,
     }
     if comparison is not None:
@@ -343,7 +345,7 @@ def read_streams(path: Path, namespace: str) -> Streams:
         each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY, topics.FORCE)
     )
     times, packets, forces = [np.empty(0, np.int64)], [], []
-    counter, invalid = SequenceCounter(), 0
+    invalid = 0
     with BagFile(path) as bag:
         for topic, received_ns, message in bag.messages(events, quality, force):
             if topic == quality:
@@ -352,7 +354,6 @@ def read_streams(path: Path, namespace: str) -> Streams:
                 stamp_ns = stamp_to_ns(message.header.stamp)
                 forces.append((stamp_ns, received_ns, topics.normal_force(message)))
             else:
-                counter.update(message.seq)
                 packet = decode_message(message)
                 times.append(packet.events.t)
                 packets.append((packet.complete_until, stamp_to_ns(message.header.stamp)))
@@ -361,7 +362,6 @@ def read_streams(path: Path, namespace: str) -> Streams:
     force_ns, force_arrival_ns, force_n = zip(*forces, strict=True)
     return Streams(
         event_t_us=np.concatenate(times),
-        lost_packets=counter.lost,
         complete_us=complete_us,
         arrival_ns=arrival_ns,
         invalid=invalid,
@@ -505,7 +505,6 @@ def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> 
         ('  best constant guess, MAE', f'{n("constant_mae_n")} N'),
         ('drift of the reference clock', f'{n("clock_drift_ppm")} ppm'),
         ('lost force samples', str(report['lost'])),
-        ('lost event packets', str(report['lost_packets'])),
         ('forces marked as not valid', str(report['invalid'])),
         ('dropped inside nodes', str(report['dropped'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from mixtac.figures import MARK, REFERENCE, new_axes, save_figure
 
 FALLEN_MM: Final = 5.0
@@ -77,11 +79,6 @@ class ImpactLog:
         self._open = False
         self._before: deque[tuple[float, float]] = deque(maxlen=KEPT)
 
-    @property
-    def open(self) -> Impact | None:
-        """The impact that is being looked at, None between them."""
-        return self.impacts[-1] if self._open else None
-
     def struck(self, now_s: float) -> None:
         """Begin with an impact [s]."""
         impact = Impact(now_s, self.place_mm)
@@ -90,12 +87,12 @@ class ImpactLog:
         self._open = True
 
     def on_place(self, now_s: float, place_mm: float) -> None:
-        """Take the place of the object, downwards [mm]."""
+        """Add the place of the object, downwards [mm]."""
         self.place_mm = place_mm
         (self.impacts[-1].places if self._open else self._before).append((now_s, place_mm))
 
     def on_slip(self, now_s: float, advance_mm: float, stopped: str, *, slipping: bool) -> None:
-        """Take the answer of slip control."""
+        """Add the wanted advance [mm] of slip control, why it stopped, and whether it sees slip."""
         if not self._open:
             return
         impact = self.impacts[-1]
@@ -132,16 +129,11 @@ def draw_impacts(impacts: Sequence[Impact], path: Path) -> None:
     upper.set_title(f'Simulated grasp: {held} of {len(impacts)} impacts held (red: fallen)')
     for impact in impacts:
         colour = REFERENCE if impact.held else MARK
-        for axes, rows, zero in (
-            (upper, impact.places, impact.start_mm),
-            (lower, impact.advances, 0.0),
-        ):
-            shown = [
-                (1e3 * (t - impact.struck_s), place - zero)
-                for t, place in rows
-                if t <= impact.struck_s + SHOWN_S
-            ]
-            axes.plot(*zip(*shown, strict=True), color=colour, alpha=0.7)
+        series = (upper, impact.places, impact.start_mm), (lower, impact.advances, 0.0)
+        for axes, rows, zero in series:
+            after_s, value_mm = np.array(rows).T - [[impact.struck_s], [zero]]
+            shown = after_s <= SHOWN_S
+            axes.plot(1e3 * after_s[shown], value_mm[shown], color=colour, alpha=0.7)
     upper.set_ylabel('object, downwards [mm]')
     lower.set(ylabel='arm, wanted advance [mm]', xlabel='time since the impact [ms]')
     save_figure(figure, path)

@@ -44,14 +44,13 @@ def show(
         while text := doing():
             if time.monotonic() >= due_s:
                 due_s += PERIOD_S if terminal else LINE_PERIOD_S
-                shown = {}
+                shown: dict[str, str] = {}
                 for name, value in values().items():
-                    if isinstance(value, str):
-                        shown[name] = value
-                    else:
+                    if isinstance(value, float):
                         # Nothing is drawn where there is no force.
                         histories[name].append(0.0 if math.isnan(value) else value)
-                        shown[name] = f'{value:7.3f} N'
+                        value = f'{value:7.3f} N'  # noqa: PLW2901
+                    shown[name] = value
                 if terminal:
                     table.update(_table(text, shown, histories))
                 else:

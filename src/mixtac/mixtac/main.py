@@ -110,12 +110,15 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
         name: Its name.
         target: `COMMANDS`, or one of its values.
     """
-    helped = {'help_option_names': ['-h', '--help']}
+    helped: dict[str, Any] = {'help_option_names': ['-h', '--help']}
     panel = SHOWN_IN.get(name)
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=helped)
     found = load(target) if isinstance(target, str) else target
     command: Any
     if callable(found):
+        if found.__name__ == 'absent':
+            # Whatever is given to it, it says what is not installed.
+            helped |= {'ignore_unknown_options': True, 'allow_extra_args': True}
         app.command(name, rich_help_panel=panel, context_settings=helped)(found)
         command = get_command(app)
     else:
@@ -130,7 +133,7 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
         )(load(first) if works else first)
         command = get_command(app)
         # From these names typer chooses what may have been meant.
-        command.commands = dict.fromkeys(filter(None, found))
+        command.commands = dict.fromkeys(filter(None, found))  # type: ignore[attr-defined]
     command.name = name
     return command
 
@@ -144,17 +147,24 @@ def load(target: str) -> Any:  # noqa: ANN401
     try:
         return getattr(importlib.import_module(module), name)
     except ModuleNotFoundError as error:
-        if error.name is None or (error.name.startswith('mixtac') and error.name in module):
-            remedy = 'install the whole of Mixtac, not only the part for robots'
-        else:
-            remedy = f"install it: pip install '{error.name}', or an extra of pyproject.toml"
-        failure = MixtacError(f'{error.name} is not installed', remedy=remedy)
+        failure = missing(error)
 
     def absent() -> None:
         raise failure
 
     absent.__doc__ = str(failure)
     return absent
+
+
+def missing(error: ModuleNotFoundError) -> MixtacError:
+    """Return the error about a package that is not installed, with its remedy."""
+    name = str(error.name).partition('.')[0]
+    remedy = f"install it: pip install '{name}', or an extra of pyproject.toml"
+    if name == 'rclpy' or name.endswith('_msgs'):
+        remedy = 'this needs ROS 2: source it, or run ./mixtac of a checkout, which brings it'
+    elif name.startswith('mixtac'):
+        remedy = 'install the whole of Mixtac, not only the part for robots'
+    return MixtacError(f'{name} is not installed', remedy=remedy)
 
 
 def root() -> Any:  # noqa: ANN401
@@ -180,21 +190,26 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with noting_interrupt(interrupted):
             result = root()(arguments, prog_name='mixtac', standalone_mode=False)
-    except typer.Exit as leave:
-        return leave.exit_code
-    except (typer.Abort, KeyboardInterrupt, Exception) as error:
+        # Typer returns the status of an exit, and makes one of Ctrl-C.
+        status = result if isinstance(result, int) else 0
+    except (KeyboardInterrupt, Exception) as error:
+        if isinstance(error, ModuleNotFoundError) and not interrupted:
+            error = missing(error)
         expected = isinstance(error, MixtacError | OSError)
         # A library may have made its own error of an interrupt.
-        if isinstance(error, (typer.Abort, KeyboardInterrupt)) or (interrupted and not expected):
-            print('interrupted', file=sys.stderr)
-            return INTERRUPTED
-        if not expected and not hasattr(error, 'format_message'):
+        stopped = isinstance(error, (typer.Abort, KeyboardInterrupt)) or bool(interrupted)
+        if stopped and not expected:
+            status = INTERRUPTED
+        elif not expected and not hasattr(error, 'format_message'):
             raise
-        # Empty if the help was printed because no command was given.
-        if text := error_text(error):
-            print(error_line(text), file=sys.stderr)
-        return 1 if expected else 2
-    return result if isinstance(result, int) else 0
+        else:
+            # The text is empty if the help was printed because no command was given.
+            if text := error_text(error):
+                print(error_line(text), file=sys.stderr)
+            status = 1 if expected else 2
+    if status == INTERRUPTED:
+        print('interrupted', file=sys.stderr)
+    return status
 
 
 def error_text(error: Any) -> str:  # noqa: ANN401

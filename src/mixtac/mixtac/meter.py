@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +19,7 @@ EVEN = {each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topic
 GAP = 1.5
 """A message is missing if two stamps are this many usual intervals apart."""
 LEARNING = 16
-"""Number of intervals from which the usual one is taken."""
+"""Number of latest intervals whose shortest is the usual one."""
 
 
 @dataclass
@@ -50,8 +51,7 @@ class TopicMeter:
     stamp_ns: int = 0
     damaged: int = 0
     _sequence: SequenceCounter = field(default_factory=SequenceCounter)
-    _intervals: list[int] = field(default_factory=list)
-    _usual_ns: int = 0
+    _intervals_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LEARNING))
 
     def add(self, received_ns: int, data: bytes) -> bool:
         """Count a serialised message, arrived at a host time [ns]; return whether it is whole."""
@@ -104,19 +104,14 @@ class TopicMeter:
         if not self.even or not last_ns:
             return
         interval_ns = stamp_ns - last_ns
-        self.backwards += interval_ns <= 0
         if interval_ns <= 0:
+            self.backwards += 1
             return
-        if self._usual_ns and interval_ns > GAP * self._usual_ns:
-            self.missing += round(interval_ns / self._usual_ns) - 1
-        self._learn(interval_ns)
-
-    def _learn(self, interval_ns: int) -> None:
-        # The median of the latest ones follows a change of the exposure interval.
-        self._intervals.append(interval_ns)
-        if len(self._intervals) == LEARNING:
-            self._usual_ns = sorted(self._intervals)[LEARNING // 2]
-            self._intervals.clear()
+        # The shortest of the latest ones follows a change of the exposure interval.
+        usual_ns = min(self._intervals_ns, default=interval_ns)
+        if len(self._intervals_ns) == LEARNING and interval_ns > GAP * usual_ns:
+            self.missing += round(interval_ns / usual_ns) - 1
+        self._intervals_ns.append(interval_ns)
 
 
 @dataclass(frozen=True, slots=True)

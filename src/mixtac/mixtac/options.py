@@ -84,5 +84,5 @@ Preset = Annotated[
 ]
 ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 ReferenceTopic = Annotated[
-    str, typer.Option('--reference', help='Topic of the reference force (WrenchStamped).')
+    str, typer.Option('--reference-topic', help='Topic of the reference force (WrenchStamped).')
 ]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mixtac_core.node.parameters import fixed, parameter
+from mixtac_core.node.parameters import fixed
 from mixtac_core.node.topics import REFERENCE
 
 
@@ -61,9 +61,7 @@ class SupervisorParameters:
         knock_every: Simulation only: smallest time between impacts on the object while slip control
             is enabled; 0 for no impacts.
         figure: File (.png or .pdf) for a picture of the impacts, written at the end; empty: none.
-        grip: Simulation only: close the grasp once the estimator knows its zero.
     """
 
-    knock_every: float = parameter(8.0, unit='s', within=(0.0, 3600.0))
+    knock_every: float = fixed(8.0, unit='s', within=(0.0, 3600.0))
     figure: str = fixed('')
-    grip: bool = fixed(False)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
 import signal
 import time
@@ -17,6 +18,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mixtac.figures import make_table
 from mixtac.meter import RecordingSummary
 from mixtac.options import JsonFile, Namespace, Split, check_topic
 from mixtac.recorder_node import Listener
@@ -121,14 +123,13 @@ def _record(
     """Record until the time is over, a signal comes, or the disk fails."""
     listener.start(out)
     began_s = time.monotonic()
-    with Live(console=console, auto_refresh=False, transient=True) as live:
+    end_s = began_s + (seconds or math.inf)
+    with Live(console=console, auto_refresh=False) as live:
         while not stopping() and not (listener.writer and listener.writer.failure):
-            left_s = seconds - (time.monotonic() - began_s)
-            if seconds and left_s <= 0:
+            if (left_s := end_s - time.monotonic()) <= 0.0:
                 break
-            listener.spin_for(min(left_s, REFRESH_S) if seconds else REFRESH_S, stopping)
+            listener.spin_for(min(left_s, REFRESH_S), stopping)
             live.update(_progress(listener, out, time.monotonic() - began_s), refresh=True)
-    console.print(_progress(listener, out, time.monotonic() - began_s))
     summary = listener.finish()
     assert summary is not None  # noqa: S101  (started above)
     return summary
@@ -138,26 +139,20 @@ def _progress(listener: Listener, out: Path, elapsed_s: float) -> Table:
     """Return the state of a recording; topics without messages are left out."""
     size = sum(meter.size for meter in listener.meters)
     dropped = listener.writer.dropped if listener.writer else 0
-    table = Table(
-        title=f'{out}, {elapsed_s:.0f} s; press Ctrl-C to stop',
-        title_justify='left',
-        caption=f'{size / 1e6:.1f} MB, {free_bytes(out) / 1e9:.1f} GB left on the disk, '
-        f'{dropped} messages dropped',
-        caption_justify='left',
+    rows = [
+        (
+            *(meter.topic.name, meter.messages, f'{meter.rate_hz:.1f}'),
+            *(f'{meter.size / 1e6:.2f}', meter.missing),
+        )
+        for meter in listener.meters
+        if meter.messages
+    ]
+    title = f'{out}, {elapsed_s:.0f} s; press Ctrl-C to stop'
+    table = make_table(title, ('topic', 'messages', 'Hz', 'MB', 'lost'), rows)
+    table.caption = (
+        f'{size / 1e6:.1f} MB, {free_bytes(out) / 1e9:.1f} GB left on the disk, '
+        f'{dropped} messages dropped'
     )
-    table.add_column('topic')
-    for heading in ('messages', 'Hz', 'MB', 'lost'):
-        table.add_column(heading, justify='right')
-    for meter in listener.meters:
-        if meter.messages:
-            table.add_row(
-                meter.topic.name,
-                str(meter.messages),
-                f'{meter.rate_hz:.1f}',
-                f'{meter.size / 1e6:.2f}',
-                str(meter.missing),
-                style='yellow' if meter.missing else None,
-            )
     return table
 
 

@@ -24,12 +24,7 @@ from mixtac.parameters import RecorderParameters
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.base_node import declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_core.node.topics import (
-    DEFAULT_NAMESPACE,
-    REFERENCE,
-    REFERENCE_WRENCH,
-    TOPICS,
-)
+from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE, REFERENCE_WRENCH, TOPICS
 from mixtac_core.recordings.bag_writer import BagWriter
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_core.recordings.recording import RecordingError
@@ -74,11 +69,11 @@ class Listener(CommandNode):
             RecordingError: There is no topic of such a name.
         """
         names = {each.name for each in TOPICS}
-        for name in exclude:
-            if name not in names:
-                raise RecordingError(
-                    f'no topic {name} to exclude', remedy=f'choose from {", ".join(sorted(names))}'
-                )
+        if unknown := set(exclude) - names:
+            raise RecordingError(
+                f'no topic {min(unknown)} to exclude',
+                remedy=f'choose from {", ".join(sorted(names))}',
+            )
         namespace = self.get_namespace()
         own = {each.resolved(namespace) for each in TOPICS if each.name != REFERENCE}
         if replace(REFERENCE_WRENCH, name=reference_topic).resolved(namespace) in own:

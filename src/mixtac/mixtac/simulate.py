@@ -13,8 +13,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mixtac.options import Preset
-from mixtac_core.recordings.dataset import DatasetDescription
-from mixtac_core.recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import generate
 from mixtac_sim.world.effects import preset as find_preset
 from mixtac_sim.world.plans import DATASETS, describe, plan_dataset, plan_profile
@@ -45,44 +43,21 @@ def simulate(
     """Write simulated trials to rosbag2 bags with the live topics and the truth."""
     if bool(profile) == bool(dataset):
         raise typer.BadParameter('give one of --profile and --dataset')
-    plan = _description(profile, dataset, trials, seconds, seed, preset)
-    console = Console(markup=False)
-    _generate(console, plan, out, jobs or os.cpu_count() or 1, compress)
-
-
-def _description(
-    profile: str, dataset: str, trials: int, seconds: float, seed: int, preset: str
-) -> DatasetDescription:
     find_preset(preset)
     if dataset:
-        planned = plan_dataset(dataset, seed, preset)
-        split_by = DATASETS[dataset].split_by
+        planned, split_by = plan_dataset(dataset, seed, preset), DATASETS[dataset].split_by
     else:
         planned, split_by = plan_profile(profile, trials, seconds, seed, preset), 'trial'
-    return describe(dataset or profile, seed, preset, split_by, planned)
-
-
-def _generate(
-    console: Console,
-    plan: DatasetDescription,
-    out: Path,
-    jobs: int,
-    compress: bool,
-) -> None:
+    plan = describe(dataset or profile, seed, preset, split_by, planned)
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+    with Progress(*columns, TimeElapsedColumn(), console=Console(markup=False)) as progress:
         task = progress.add_task(f'{plan.name}, {plan.preset}', total=len(plan.trials))
-        try:
-            written = generate(
-                plan,
-                out,
-                jobs=jobs,
-                compress=compress,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-            )
-        except OSError as error:
-            raise RecordingError(f'{out} cannot be written ({error}): choose another') from error
+        written = generate(
+            plan,
+            out,
+            jobs=jobs or os.cpu_count() or 1,
+            compress=compress,
+            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
     train, test = (len(plan.split(name)) for name in ('train', 'test'))
-    console.print(
-        f'{written} bags written, {len(plan.trials)} in {out}: {train} train, {test} test'
-    )
+    print(f'{written} bags written, {len(plan.trials)} in {out}: {train} train, {test} test')

@@ -53,7 +53,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('supervisor')
-        self._settings = declare(self, SupervisorParameters, self._apply)
+        self._settings = declare(self, SupervisorParameters)
         self._slip = SlipState(state=SlipState.DISABLED)
         self._log = ImpactLog()
         self._since_s = self._requested_s = self._struck_s = 0.0
@@ -63,10 +63,8 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._tare = self.create_client(Trigger, 'slip_control/tare')
         self._knock = self.create_client(Trigger, 'virtual_grasp/knock')
         self._put_back = self.create_client(Trigger, 'virtual_grasp/put_back')
-        self._phase = Phase.ENABLE
-        if self._settings.grip:
-            self._enter(Phase.ZERO)
-            self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
+        self._enter(Phase.ZERO)
+        self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.subscribe_topic(topics.SLIP, self._on_slip)
         self.subscribe_topic(topics.TRUTH_OBJECT, self._on_place)
         self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
@@ -84,9 +82,6 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
             self.get_logger().error(str(error))
             return
         self.get_logger().info(f'picture of the impacts: {self._settings.figure}')
-
-    def _apply(self, settings: SupervisorParameters) -> None:
-        self._settings = settings
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -130,11 +125,10 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
             disabled.add_done_callback(lambda _: self._grip())
 
     def _may_request(self) -> bool:
-        now_s = self._now_s()
-        if now_s - self._requested_s <= REQUEST_PERIOD_S:
-            return False
-        self._requested_s = now_s
-        return True
+        due = self._now_s() - self._requested_s > REQUEST_PERIOD_S
+        if due:
+            self._requested_s = self._now_s()
+        return due
 
     def _grip(self) -> None:
         self._put_back.call_async(Trigger.Request())

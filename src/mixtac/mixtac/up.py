@@ -97,9 +97,6 @@ def up(
     ] = 'info',
     seconds: RunTime = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
-    autostart: Annotated[
-        bool, typer.Option(help='Configure and activate the force estimator.')
-    ] = True,
     model: Annotated[
         str,
         typer.Option(help='Weight file or name of a model; by default that of the parameter file.'),
@@ -131,9 +128,6 @@ def up(
         nodes.append(recorder(record))
     with ProcessGroup() as processes:
         start_nodes(processes, nodes, namespace, params_file, log_level)
-        if not autostart:
-            run_until(processes, seconds)
-            return
         with Monitor(namespace, processes) as monitor:
             monitor.bring_up_all(nodes)
             monitor.listen()
@@ -236,14 +230,6 @@ def slip(
     every: Annotated[
         float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
     ] = 8.0,
-    margin: Annotated[
-        float,
-        typer.Option(
-            min=1.0,
-            max=5.0,
-            help='Grasp force relative to the smallest that holds the object.',
-        ),
-    ] = 1.05,
     preset: Annotated[
         str,
         typer.Option(
@@ -270,7 +256,6 @@ def slip(
         grasp = {
             'object': object_name,
             'knock': disturb,
-            'margin': margin,
             'preset': preset,
             'device_seed': seed,
             'seed': seed,
@@ -282,7 +267,6 @@ def slip(
         supervisor = {
             'knock_every': every if disturb > 0.0 else 0.0,
             'figure': str(figure.absolute()),
-            'grip': True,
             **simulated,
         }
         # The contact is not needed, and costs as much as the force.

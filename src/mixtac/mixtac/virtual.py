@@ -14,18 +14,20 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Final
 
 from mixtac.latest import SensorError
 from mixtac_core.events.errors import MixtacError
+from mixtac_core.node.process import STOP_GRACE_S, ending_with_parent
 
 NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-STOP_S: Final = 20.0
-"""From SIGTERM to SIGKILL [s]."""
+REPORT_S: Final = 10.0
+"""Time between two lines while a virtual sensor starts [s]."""
 
 
 class VirtualProcess:
@@ -45,24 +47,39 @@ class VirtualProcess:
     def __init__(self, scenario: str) -> None:
         command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        # The first time the simulation compiles, on a busy computer slowly: no time limit.
-        lines = self._process.stdout or ()
-        found = json.loads(next((each for each in lines if each.startswith('{')), '{}'))
+        found = self._answer()
         if not found.get('device'):
             self.close()
-            raise SensorError(found.get('error') or 'the virtual sensor does not start')
+            why = found.get('error') or 'the virtual sensor ended before it was ready'
+            raise SensorError(str(why), remedy='see what it printed')
         self.device = str(found['device'])
+
+    def _answer(self) -> dict[str, str]:
+        """Wait for the line of JSON as long as the process runs; return nothing if it ended."""
+        output, began_s = self._process.stdout, time.monotonic()
+        assert output is not None  # noqa: S101  (always piped)
+        while True:
+            if not select.select([output], [], [], REPORT_S)[0]:
+                waited_s = time.monotonic() - began_s
+                text = (
+                    f'waiting for the virtual sensor for {waited_s:.0f} s: a first start compiles'
+                )
+                print(text, file=sys.stderr)
+            elif not (line := output.readline()):
+                return {}
+            elif line.startswith('{'):
+                return dict(json.loads(line))
 
     def close(self) -> None:
         """End the process."""
         self._process.terminate()
         try:
-            self._process.communicate(timeout=STOP_S)
+            self._process.wait(STOP_GRACE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.communicate()
+        self._process.communicate()
 
 
 def serve(scenario: str) -> None:

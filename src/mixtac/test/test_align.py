@@ -17,6 +17,7 @@ pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 from mixtac.align import align_bag
 from mixtac.main import main
 from mixtac_core.events.arrays import Events
+from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import Edges
 from mixtac_core.node import topics
 from mixtac_core.recordings.bag import BagFile, blank_message, custom_data, fit_path
@@ -83,20 +84,19 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None:
-    outcome = align_bag(bag)
-    assert outcome.fit is not None, outcome.reason
+    found, damage = align_bag(bag)
+    assert damage == ''
     fit = read_fit(bag)
     camera = START_US + np.array([0, 4_000_000, 8_000_000])
     truth = REFERENCE_S + RATE * (camera - START_US) * 1e-6
     assert np.abs(fit.to_reference(camera) - truth).max() < 1.5e-3
-    assert fit.a == outcome.fit.a
+    assert fit.a == found.a
     assert json.loads(fit_path(bag).read_text())['method'] == 'two_impulse'
 
 
 def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) -> None:
     options = {'rewrite': tmp_path / 'one', 'figures': tmp_path / 'figures'}
-    outcome = align_bag(bag, **options)
-    assert outcome.fit is not None, outcome.reason
+    fit, _ = align_bag(bag, **options)
     assert (tmp_path / 'figures' / 'trial.png').stat().st_size > 10_000
     with BagFile(bag) as old, BagFile(tmp_path / 'one' / 'trial') as new:
         assert new.counts['/mixtac/events'] == old.counts['/mixtac/events']
@@ -106,13 +106,13 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
         ((_, _, message),) = new.messages('/mixtac/clock_fit')
     own = ClockFit.from_fields(vars(message))
     assert np.abs(own.stamp_to_camera_us(after) - after / 1e3).max() < 1.0
-    assert own.std_at(START_US) == outcome.fit.std_at(START_US)
+    assert own.std_at(START_US) == fit.std_at(START_US)
     assert force.tolist() == same.tolist()
     shown_us = (before - round(REFERENCE_S * 1e9)) / RATE / 1e3
     assert np.abs(after / 1e3 - START_US - shown_us).max() < 1500.0
-    again = align_bag(bag, **options)
-    assert again.fit is None
-    assert 'new' in again.reason
+    with pytest.raises(MixtacError) as caught:
+        align_bag(bag, **options)
+    assert 'new' in str(caught.value)
 
 
 def test_bags_of_one_name_have_figures_and_copies_of_their_own(bag: Path, tmp_path: Path) -> None:
@@ -128,8 +128,7 @@ def test_bags_of_one_name_have_figures_and_copies_of_their_own(bag: Path, tmp_pa
 
 
 def test_a_copy_that_fails_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch) -> None:
-    fit = align_bag(bag).fit
-    assert fit is not None
+    fit, _ = align_bag(bag)
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -143,8 +142,7 @@ def test_a_copy_that_fails_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch
 def test_a_copy_keeps_what_was_said_of_the_bag_and_has_no_fit_of_another(
     bag: Path, tmp_path: Path
 ) -> None:
-    fit, said = align_bag(bag).fit, {'mixtac.simulated': 'true'}
-    assert fit is not None
+    (fit, _), said = align_bag(bag), {'mixtac.simulated': 'true'}
     with McapBag(tmp_path / 'said') as writer:
         writer.custom_data.update(said)
     out = tmp_path / 'copy'
@@ -157,9 +155,9 @@ def test_a_copy_keeps_what_was_said_of_the_bag_and_has_no_fit_of_another(
 
 
 def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: Path) -> None:
-    outcome = align_bag(bag, reference='/other')
-    assert outcome.fit is None
-    assert '/other' in outcome.reason
+    refused = tmp_path / 'refused.json'
+    assert main(['align', str(bag), '--reference-topic', '/other', '--json', str(refused)]) == 1
+    assert '/other' in json.loads(refused.read_text())[0]['refused']
     with pytest.raises(AlignmentError) as caught:
         read_fit(tmp_path / 'none')
     assert 'mixtac align' in caught.value.remedy
@@ -198,11 +196,10 @@ def edges_bag(tmp_path: Path) -> Path:
 
 
 def test_edges_of_a_trigger_line_serve_in_place_of_taps(edges_bag: Path, bag: Path) -> None:
-    outcome = align_bag(edges_bag, method='edges')
-    assert outcome.fit is not None, outcome.reason
+    fit, _ = align_bag(edges_bag, method='edges')
     camera = START_US + np.array([0, 5_000_000, 10_000_000])
     truth = REFERENCE_S + RATE * (camera - START_US) * 1e-6
-    assert np.abs(outcome.fit.to_reference(camera) - truth).max() < 5e-6
-    refused = align_bag(bag, method='edges')
-    assert refused.fit is None
-    assert 'external_edges' in refused.reason
+    assert np.abs(fit.to_reference(camera) - truth).max() < 5e-6
+    with pytest.raises(MixtacError) as caught:
+        align_bag(bag, method='edges')
+    assert 'external_edges' in str(caught.value)

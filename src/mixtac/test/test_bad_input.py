@@ -136,7 +136,6 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
     [
         ('up slip', '--object', 'cat'),
         ('up slip', '--preset', 'xyz'),
-        ('up slip', '--margin', '0.5'),
         ('up slip', '--disturb', '-5'),
         ('up slip', '--every', '-1'),
         ('up slip', '--seed', '-1'),

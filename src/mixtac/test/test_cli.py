@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+
+from mixtac.main import main
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 MODEL = Path(__file__).resolve().parents[3] / 'models' / 'fger_small.safetensors'
@@ -26,13 +29,35 @@ def mixtac(env: dict[str, str], *arguments: str, cwd: Path) -> subprocess.Comple
     )
 
 
-def assert_one_clear_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
-    assert result.returncode not in (0, None)
-    assert 'Traceback' not in result.stderr + result.stdout
-    lines = [line for line in result.stderr.splitlines() if line.startswith('error: ')]
-    assert len(lines) == 1, result.stderr
+def assert_one_line(errors: str, *words: str) -> None:
+    assert 'Traceback' not in errors
+    lines = [line for line in errors.splitlines() if line.startswith('error: ')]
+    assert len(lines) == 1, errors
     for word in words:
         assert word in lines[0]
+
+
+def assert_one_clear_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert result.returncode == 1
+    assert_one_line(result.stderr, *words)
+
+
+INTERRUPTING = """
+import os, signal, sys, threading, time
+from mixtac import __main__
+delay_s = float(sys.argv.pop(1))
+main = __main__.main
+
+def interrupt():
+    while signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        time.sleep(0.001)
+    time.sleep(delay_s)
+    os.kill(os.getpid(), signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+threading.Thread(target=interrupt, daemon=True).start()
+sys.exit(main())
+"""
 
 
 def test_help_lists_the_commands(ros_domain: dict[str, str], tmp_path: Path):
@@ -50,13 +75,46 @@ def test_help_is_shown_as_it_is_written(commands):
             assert Text.from_markup(text or '').plain == (text or ''), words
 
 
-def test_an_unknown_command_is_refused(ros_domain: dict[str, str], tmp_path: Path):
-    assert_one_clear_line(mixtac(ros_domain, 'fly', cwd=tmp_path), 'fly')
+@pytest.mark.parametrize(
+    ('words', 'meant'),
+    [(['demos'], 'demo'), (['up', 'slop'], 'slip'), (['doctor', '--secnds', '3'], '--seconds')],
+)
+def test_a_misspelt_name_is_refused_with_the_one_that_was_meant(words, meant, capsys):
+    assert main(words) == 2
+    assert_one_line(capsys.readouterr().err, words[-2] if len(words) > 2 else words[-1], meant)
+
+
+def test_the_version_is_printed(capsys):
+    assert main(['--version']) == 0
+    assert version('mixtac') in capsys.readouterr().out
+
+
+def test_every_command_has_a_short_name_of_its_help(commands):
+    for command in commands.values():
+        assert '-h' in command.context_settings['help_option_names']
+
+
+@pytest.mark.parametrize('delay_s', [0.0, 0.3, 1.0])
+def test_ctrl_c_while_a_command_starts_ends_it_with_one_line(ros_domain, tmp_path, delay_s):
+    words = [sys.executable, '-c', INTERRUPTING, str(delay_s), 'doctor', '--device', 'virtual']
+    result = subprocess.run(
+        words, env=ros_domain, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (result.returncode, result.stderr) == (130, 'interrupted\n')
 
 
 def test_an_unknown_device_is_refused(ros_domain: dict[str, str], tmp_path: Path):
     result = mixtac(ros_domain, 'up', '--device', 'gelsight', '--seconds', '20', cwd=tmp_path)
     assert_one_clear_line(result, 'gelsight', 'virtual')
+
+
+@pytest.mark.parametrize('content', [None, b'no recording'])
+def test_up_refuses_what_is_no_recording(content, tmp_path, capsys):
+    path = tmp_path / 'run.mcap'
+    if content is not None:
+        path.write_bytes(content)
+    assert main(['up', '--device', str(path), '--seconds', '0.1']) == 1
+    assert_one_line(capsys.readouterr().err, 'run.mcap')
 
 
 def test_no_camera_names_the_virtual_one(ros_domain: dict[str, str], tmp_path: Path):

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -108,12 +107,12 @@ def test_what_cannot_be_opened_says_why(source, model, error):
     assert not sensor.is_open
 
 
-def test_a_virtual_sensor_that_is_late_is_not_said_to_be_missing(monkeypatch):
-    monkeypatch.setattr(virtual, 'START_S', 0.1)
+def test_while_a_virtual_sensor_starts_lines_say_so(monkeypatch, capsys):
+    monkeypatch.setattr(virtual, 'REPORT_S', 0.05)
     with pytest.raises(SensorError) as caught:
-        Sensor('virtual').open()
-    assert caught.value.remedy
-    assert 'mixtac_sim' not in caught.value.remedy
+        virtual.VirtualProcess('no_such_scenario')
+    assert 'no_such_scenario' in str(caught.value)
+    assert 'virtual sensor' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -135,12 +134,24 @@ def test_nothing_of_it_needs_ros():
     subprocess.run([sys.executable, '-c', code], check=True, timeout=120, cwd=Path('/'))
 
 
-@pytest.mark.live
-def test_up_shows_forces_without_ros():
+@pytest.mark.parametrize('words', [['record', 'bag'], ['demo', '--out', 'new']])
+def test_what_needs_ros_says_so(words):
+    result = without_ros(words)
+    assert result.returncode == 1
+    assert 'ROS 2' in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def without_ros(words: list[str]) -> subprocess.CompletedProcess[str]:
     hidden = ('ament_index_python', 'builtin_interfaces', 'rclpy', 'sensor_msgs')
-    words = ['up', '--device', 'virtual', '--seconds', '1']
     code = f'import sys; sys.modules.update(dict.fromkeys({hidden}))\n'
     code += f'from mixtac.main import main; sys.exit(main({words}))'
-    run = partial(subprocess.run, check=True, capture_output=True, text=True, cwd=Path('/'))
-    shown = run([sys.executable, '-c', code]).stdout
-    assert len([line for line in shown.splitlines() if ' N +- ' in line]) >= 2
+    command = [sys.executable, '-c', code]
+    return subprocess.run(command, capture_output=True, text=True, cwd=Path('/'), check=False)
+
+
+@pytest.mark.live
+def test_up_shows_forces_without_ros():
+    shown = without_ros(['up', '--device', 'virtual', '--seconds', '1'])
+    assert shown.returncode == 0
+    assert [line for line in shown.stdout.splitlines() if ' N +- ' in line]

@@ -25,7 +25,7 @@ Preset = Annotated[
     str, typer.Option('--preset', help='Difficulty of sensors: easy, paper_like, hard or varied.')
 ]
 ReferenceTopic = Annotated[
-    str, typer.Option('--reference', help='Topic of the reference force in the bags.')
+    str, typer.Option('--reference-topic', help='Topic of the reference force in the bags.')
 ]
 JsonFile = Annotated[
     OptionalPath, typer.Option('--json', help='JSON file for the figures.', callback=writable)
@@ -89,7 +89,7 @@ def evaluate(
     preset: Preset = TRAINING_PRESET,
     reference: ReferenceTopic = REFERENCE,
     figures: Annotated[
-        OptionalPath, typer.Option(help='Image file for plots of the trials.', callback=writable)
+        OptionalPath, typer.Option('--figure', help='Image file for the plots.', callback=writable)
     ] = None,
     series: Annotated[
         OptionalPath,
