@@ -215,8 +215,7 @@ class JointTrajectoryController:
     def _cycle(self, now_s: float) -> None:
         """Run one control cycle."""
         if self._pending is not None:
-            before = self._command.copy()
-            self._active = _Active(self._pending, before, self._command_s, now_s)
+            self._active = _Active(self._pending, self._command, self._command_s, now_s)
             self._pending = None
         if self._active is None:
             # Since its activation it holds a position, which is a trajectory like any other.
