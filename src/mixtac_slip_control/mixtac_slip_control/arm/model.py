@@ -184,8 +184,8 @@ SAFE_SETTINGS: Final = {
 """Parameters of a joint_trajectory_controller with the values that the stream needs. A version
 without one of them behaves as with this value."""
 CONTINUES: Final = ('interpolate_from_desired_state', 'open_loop_control')
-"""Names of the parameter by which a trajectory continues from the last command: the second one on
-Humble and, besides the first, on Jazzy. One of them must be true."""
+"""Names of the parameter by which a trajectory continues from the last command; Jazzy has both. One
+of them must be true."""
 
 
 def unsafe_setting(values: Mapping[str, object]) -> str:
