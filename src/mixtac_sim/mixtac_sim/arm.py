@@ -128,6 +128,8 @@ def warm_up() -> None:
     interpolate(rest, rest, 1.0, 0.0)
 
 
+CYCLE_S = 1e-3
+"""Period of the controller and of its commands [s]."""
 START_EPSILON_S = 1e-12
 """Time by which a trajectory may be asked for before its start [s]: rounding."""
 
@@ -156,13 +158,9 @@ class JointTrajectoryController:
 
     New trajectories start from the last command (``interpolate_from_desired_state``), and those
     that end in motion are rejected.
-
-    Args:
-        update_rate_hz: Cycles per second.
     """
 
-    def __init__(self, update_rate_hz: float = 1000.0) -> None:
-        self._period_s = 1.0 / update_rate_hz
+    def __init__(self) -> None:
         self.reset(READY, 0.0)
 
     def reset(self, q: Floats, now_s: float) -> None:
@@ -210,21 +208,20 @@ class JointTrajectoryController:
 
     @property
     def _next_cycle_s(self) -> float:
-        return self._first_cycle_s + self._cycles * self._period_s
+        return self._first_cycle_s + self._cycles * CYCLE_S
 
     def _cycle(self, now_s: float) -> None:
         """Run one control cycle."""
         if self._pending is not None:
-            before = self._command.copy()
-            self._active = _Active(self._pending, before, self._command_s, now_s)
+            self._active = _Active(self._pending, self._command, self._command_s, now_s)
             self._pending = None
         if self._active is None:
             # Since its activation it holds a position, which is a trajectory like any other.
-            self._command_s = now_s + self._period_s
+            self._command_s = now_s + CYCLE_S
             return
-        sampled = self._active.at(now_s + self._period_s)
+        sampled = self._active.at(now_s + CYCLE_S)
         if sampled is not None:
-            self._command, self._command_s = sampled, now_s + self._period_s
+            self._command, self._command_s = sampled, now_s + CYCLE_S
 
     def _reason_against(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Return why the controller would reject a message."""
@@ -289,19 +286,16 @@ class LaggingArm:
         q: Joint positions at the start [7] [rad].
         normal: Direction of the fingertip's advance in the base frame [3], of length 1.
         lag_s: Time constant of the lag [s].
-        period_s: Period of the commands [s].
 
     Raises:
         SimulationError: The lag is negative.
     """
 
-    def __init__(
-        self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S, period_s: float = 1e-3
-    ) -> None:
+    def __init__(self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S) -> None:
         if lag_s < 0.0:
             raise SimulationError(f'tracking lag of {lag_s} s; give 0 or more')
         self._q = np.array(q, np.float64)
-        self._keep = float(np.exp(-period_s / lag_s)) if lag_s > 0.0 else 0.0
+        self._keep = float(np.exp(-CYCLE_S / lag_s)) if lag_s > 0.0 else 0.0
         self._normal = normal
         self._start = flange_place(self._q)
         self._last_mm = 0.0

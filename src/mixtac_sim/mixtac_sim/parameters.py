@@ -97,13 +97,7 @@ class VirtualArmParameters:
     Attributes:
         trajectory_topic: Topic of the trajectories, as for a joint_trajectory_controller
         joint_state_topic: Topic of the published joint states
-        state_rate: Rate of the published joint states
-        update_rate: Update rate of the emulated controller
-        tracking_lag: Time constant with which the arm follows its commands (estimate)
     """
 
     trajectory_topic: str = fixed('/fr3_arm_controller/joint_trajectory')
     joint_state_topic: str = fixed('/joint_states')
-    state_rate: float = fixed(250.0, unit='Hz', within=(1.0, 1000.0))
-    update_rate: float = fixed(1000.0, unit='Hz', within=(100.0, 4000.0))
-    tracking_lag: float = fixed(3.5e-3, unit='s', within=(0.0, 0.1))

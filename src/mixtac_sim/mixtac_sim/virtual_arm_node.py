@@ -16,6 +16,7 @@ from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
+    CYCLE_S,
     JOINT_NAMES,
     READY,
     SIDEWAYS,
@@ -31,6 +32,8 @@ BEFORE_S = 100.0
 """The controller's time at the start [s]: a stamp of zero would mean something else."""
 MAX_CATCH_UP_S = 60.0
 """A longer gap is a clock that was set (simulated time has begun): the arm rests after it [s]."""
+STATE_PERIOD_S = 4e-3
+"""Period of the joint states [s]."""
 LIMITS_SEEN = 4
 """Commands that a jerk is computed from."""
 
@@ -48,9 +51,8 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, 'virtual_arm', self._status)
         with self._diagnostics.compiling('the simulated controller'):
             warm_up()
-        self._period_s = 1.0 / parameters.update_rate
-        self._controller = JointTrajectoryController(parameters.update_rate)
-        self._arm = LaggingArm(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
+        self._controller = JointTrajectoryController()
+        self._arm = LaggingArm(READY, SIDEWAYS)
         self._recent: list[Floats] = []
         self._first_s, self._cycles = BEFORE_S, 0
         self._accepted = self._rejected = self._violations = 0
@@ -62,7 +64,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         self.create_subscription(
             JointTrajectory, parameters.trajectory_topic, self._on_trajectory, 10
         )
-        self.create_timer(1.0 / parameters.state_rate, self._publish)
+        self.create_timer(STATE_PERIOD_S, self._publish)
 
     def _seconds(self, time_ns: int) -> float:
         """Return a time on the controller's scale [s]."""
@@ -76,7 +78,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
 
     @property
     def _cycle_s(self) -> float:
-        return self._first_s + self._cycles * self._period_s
+        return self._first_s + self._cycles * CYCLE_S
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         now_s = self._follow(self.get_clock().now().nanoseconds)
@@ -104,7 +106,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             command = self._controller.sample(self._cycle_s)[0]
             self._recent = [*self._recent[-LIMITS_SEEN + 1 :], command]
             if len(self._recent) == LIMITS_SEEN:
-                self._violations += violations(np.stack(self._recent), self._period_s) > 0
+                self._violations += violations(np.stack(self._recent), CYCLE_S) > 0
             self._arm.track(command)
             self._cycles += 1
         return now_s

@@ -148,13 +148,13 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
                 self._clock_topic.publish(Clock(clock=ns_to_stamp(self._sensor.time_ns())))
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
-                self._hand_out(batch)
+                self._publish_truth(batch)
             now_s, every = self._now_s(), self._settings.knock_every
             if every > 0.0 and now_s >= self._next_knock_s:
                 self._next_knock_s = now_s + every
                 self._strike()
 
-    def _hand_out(self, batch: WrenchSamples) -> None:
+    def _publish_truth(self, batch: WrenchSamples) -> None:
         publish_wrenches(self._truth, batch, self._wrenches)
         if len(batch.t_ns):
             stamp_ns, wrench = int(batch.t_ns[-1]), batch.wrench[-1].tolist()

@@ -24,7 +24,7 @@ def test_segments_are_the_splines_that_the_fields_determine() -> None:
     q, dq, ddq = (rng.normal(0.0, scale, (count, 7)) for scale in (0.1, 1.0, 10.0))
     dq[-1] = 0.0
     spline = BPoly.from_derivatives(2.0 + times, list(np.stack([q, dq, ddq], axis=1)))
-    controller = JointTrajectoryController(RATE_HZ)
+    controller = JointTrajectoryController()
     controller.reset(np.zeros(7), 1.999)
     assert controller.accept(Trajectory(2.0, times, q, dq, ddq), 1.999) is None
     for k in range(1, int((times[-1] + 1e-3) * RATE_HZ)):
@@ -38,7 +38,7 @@ def test_segments_are_the_splines_that_the_fields_determine() -> None:
 
 
 def test_before_the_first_point_the_motion_starts_from_the_last_command() -> None:
-    controller = JointTrajectoryController(RATE_HZ)
+    controller = JointTrajectoryController()
     q0 = np.linspace(-1.0, 1.0, 7)
     controller.reset(q0, 1.0)
     assert controller.sample(1.010)[0] == pytest.approx(q0)
@@ -53,7 +53,7 @@ def test_before_the_first_point_the_motion_starts_from_the_last_command() -> Non
 
 
 def test_a_stamp_of_zero_starts_at_the_first_cycle_that_sees_it() -> None:
-    controller = JointTrajectoryController(RATE_HZ)
+    controller = JointTrajectoryController()
     controller.reset(np.zeros(7), 5.0)
     controller.sample(5.0004)
     controller.accept(_goal(0.0, 0.010, 1.0), 5.0004)
@@ -62,7 +62,7 @@ def test_a_stamp_of_zero_starts_at_the_first_cycle_that_sees_it() -> None:
 
 
 def test_a_new_message_replaces_the_one_before() -> None:
-    controller = JointTrajectoryController(RATE_HZ)
+    controller = JointTrajectoryController()
     controller.reset(np.zeros(7), 0.001)
     controller.accept(_goal(0.01, 0.02, 1.0), 0.002)
     controller.sample(0.015)
@@ -81,7 +81,7 @@ def test_a_new_message_replaces_the_one_before() -> None:
     ],
 )
 def test_rejects_what_the_controller_rejects(trajectory: Trajectory, reason: str) -> None:
-    controller = JointTrajectoryController(RATE_HZ)
+    controller = JointTrajectoryController()
     refused = controller.accept(trajectory, 1.5)
     assert refused is not None
     assert reason in refused

@@ -201,24 +201,6 @@ def test_it_waits_a_moment_after_a_slip_before_it_is_enabled() -> None:
     assert rig.controller.enabled
 
 
-def test_a_slip_before_the_clock_has_started_anew_does_not_prevent_enabling() -> None:
-    rig = Rig()
-    rig.ms = 10_000
-    rig.learned()
-    assert rig.step(800).slipping
-    rig.ms = 0
-    rig.steps(300)
-    assert rig.controller.reason(rig.now) == ''
-
-
-def test_saturation_does_not_advance_before_it_stops() -> None:
-    rig = Rig().enabled()
-    assert rig.step(9000).advance == 0.0
-    assert rig.step(300).advance > 0.0
-    assert [rig.step(9000).advance for _ in range(2)] == [0.0, 0.0]
-    assert not rig.controller.enabled
-
-
 def test_a_planner_that_refuses_stops() -> None:
     rig = Rig().enabled()
     rig.step(800)
@@ -251,13 +233,6 @@ def test_taring_needs_it_disabled_and_learns_anew() -> None:
     rig.controller.disable()
     rig.controller.tare()
     assert not rig.controller.detectors.learned
-
-
-def test_the_normal_may_follow_from_the_joints() -> None:
-    rig = Rig()
-    rig.controller = SlipController(chosen(), rig.planner, lambda q: np.array([q[1], 0.0, 1.0]))
-    rig.enabled()
-    assert rig.planner.resets[0][1] == (-0.8, 0.0, 1.0)
 
 
 def test_it_starts_from_commanded_positions_where_they_are_reported() -> None:
@@ -314,16 +289,6 @@ def test_a_clock_that_is_set_back_stops_and_brakes() -> None:
     # It continues the motion by the clock as it is now.
     assert rig.planner.advance_at(back + 0.006) == pytest.approx(before, abs=1e-12)
     assert rig.planner.target < rig.controller.law.total
-
-
-def test_a_reset_needs_a_stop_or_nothing_to_do() -> None:
-    rig = Rig().enabled()
-    with pytest.raises(SlipControlError):
-        rig.controller.reset(rig.now)
-    assert rig.controller.enabled
-    rig.controller.disable()
-    rig.controller.reset(rig.now)
-    assert rig.controller.interlock.state is InterlockState.DISABLED
 
 
 def test_parameters_are_fixed_while_it_is_enabled() -> None:

@@ -85,16 +85,6 @@ def test_an_input_that_never_arrived_stops(name: str) -> None:
     assert watch.fault(NOW) == f'no {name} so far'
 
 
-def test_light_that_lasted_for_long_is_over_when_it_is_over() -> None:
-    watch = heard()
-    for _ in range(20 * LIGHT_WINDOWS):
-        watch.on_window(ending(NOW, light=True), NOW)
-    assert 'light' in str(watch.fault(NOW))
-    for _ in range(LIGHT_WINDOWS):
-        watch.on_window(ending(NOW), NOW)
-    assert watch.fault(NOW) is None
-
-
 def repeat(watch: SafetyWatch, times: int, **changes: Any) -> None:
     for _ in range(times):
         watch.on_window(ending(NOW, **changes), NOW)

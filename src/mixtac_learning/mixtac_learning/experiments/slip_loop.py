@@ -38,7 +38,6 @@ from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.arm import (
     READY,
-    TRACKING_LAG_S,
     JointTrajectoryController,
     LaggingArm,
     Trajectory,
@@ -236,11 +235,11 @@ class ClosedLoop:
     def __init__(self, grasp: Grasp, settings: SlipControlParameters, force: SensedForce) -> None:
         self._grasp, self._force = grasp, force
         self._estimates: list[Estimate] = []
-        self._arm = JointTrajectoryController(1.0 / CYCLE_S)
+        self._arm = JointTrajectoryController()
         self._arm.reset(READY, EPOCH_S)
         planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), settings.lead)
         self._controller = SlipController(settings, planner, SIDEWAYS)
-        self._tip = LaggingArm(READY, np.array(SIDEWAYS), TRACKING_LAG_S, CYCLE_S)
+        self._tip = LaggingArm(READY, np.array(SIDEWAYS))
         self._under_way: list[tuple[float, PlannedTrajectory]] = []
         self._frames: list[ApsFrame] = []
         self._cycle, self._rejected, self._stopped = 0, 0, ''

@@ -287,14 +287,14 @@ class VirtualSensor:
             # A frame must be known before its readout begins, so all that is handed over stays
             # behind the simulation.
             known_us = self._known_us()
-            self._hand_over(min(now_us, known_us))
+            self._send_until(min(now_us, known_us))
             if known_us >= now_us:
                 return
             with self._simulating:
                 if self._known_us() < now_us:
                     self._simulate()
 
-    def _hand_over(self, until_us: int) -> None:
+    def _send_until(self, until_us: int) -> None:
         self._due_us = max(self._due_us, until_us)
         self.device.advance(self._due_us)
         self._release(self._due_us)

@@ -10,7 +10,7 @@ import select
 import socket
 import threading
 import time
-from dataclasses import dataclass
+from collections import Counter
 from pathlib import Path
 from typing import Final
 
@@ -46,7 +46,9 @@ class UsbServer:
         self.path = path
         self._lock = threading.Lock()
         self._connections: set[socket.socket] = set()
-        self._sessions: dict[int, _Session] = {}
+        # Of each session: after which plugging-in it began, and its open connections.
+        self._plugs: dict[int, int] = {}
+        self._open: Counter[int] = Counter()
         self._closing = threading.Event()
         self._listen()
         self._threads = [threading.Thread(target=self._accept, name='usb-accept', daemon=True)]
@@ -112,36 +114,32 @@ class UsbServer:
             with connection, contextlib.suppress(OSError):
                 while True:
                     header = wire.REQUEST.unpack(wire.receive(connection, wire.REQUEST.size))
-                    session = session or self._join(header[-1])
+                    if session is None:
+                        session = self._join(header[-1])
                     reply = self._reply(connection, header, session, reply)
         finally:
-            self._leave(session)
+            if session is not None:
+                self._leave(session)
             with self._lock:
                 self._connections.discard(connection)
 
-    def _join(self, number: int) -> _Session:
+    def _join(self, session: int) -> int:
         with self._lock:
-            session = self._sessions.setdefault(number, _Session(number, self._device.plugs))
-            session.connections += 1
+            self._plugs.setdefault(session, self._device.plugs)
+            self._open[session] += 1
             return session
 
-    def _leave(self, session: _Session | None) -> None:
-        if session is None:
-            return
+    def _leave(self, session: int) -> None:
         with self._lock:
-            session.connections -= 1
-            ended = not session.connections
+            self._open[session] -= 1
+            ended = not self._open[session]
             if ended:
-                del self._sessions[session.number]
+                del self._open[session], self._plugs[session]
         if ended:
-            self._device.release(session.number)
+            self._device.release(session)
 
     def _reply(
-        self,
-        connection: socket.socket,
-        header: tuple[int, ...],
-        session: _Session,
-        reply: bytearray,
+        self, connection: socket.socket, header: tuple[int, ...], session: int, reply: bytearray
     ) -> bytearray:
         """Answer a request; return the buffer to use for the next reply."""
         status, size, start = 0, 0, wire.REPLY.size
@@ -162,20 +160,18 @@ class UsbServer:
             connection.sendall(view[: start + size])
         return reply
 
-    def _perform(
-        self, connection: socket.socket, header: tuple[int, ...], session: _Session
-    ) -> bytes:
+    def _perform(self, connection: socket.socket, header: tuple[int, ...], session: int) -> bytes:
         operation, kind, request, value, index, length, timeout_ms, _ = header
         incoming = kind & wire.DIRECTION_IN and operation == wire.CONTROL
         data = length if incoming else wire.receive(connection, length)
-        self._device.check_present(session.plugs)
+        self._device.check_present(self._plugs[session])
         if operation == wire.CONTROL:
             limit_s = timeout_ms / 1000 or None
             return self._device.control(kind, request, value, index, data, limit_s)
         if operation == wire.CLAIM:
-            self._device.claim(session.number)
+            self._device.claim(session)
         elif operation == wire.RELEASE:
-            self._device.release(session.number)
+            self._device.release(session)
         elif operation == wire.RESET:
             self._device.reset()
         else:
@@ -183,14 +179,10 @@ class UsbServer:
         return b''
 
     def _read(
-        self,
-        connection: socket.socket,
-        header: tuple[int, ...],
-        session: _Session,
-        view: memoryview,
+        self, connection: socket.socket, header: tuple[int, ...], session: int, view: memoryview
     ) -> int:
         endpoint, limit_ms = header[1], header[6]
-        self._device.check_present(session.plugs)
+        self._device.check_present(self._plugs[session])
         deadline = time.monotonic() + limit_ms / 1000 if limit_ms else None
         while True:
             wait = _SLICE_S
@@ -204,15 +196,6 @@ class UsbServer:
             # The host sends nothing while it waits: anything readable is its hang-up.
             if select.select([connection], [], [], 0)[0]:
                 raise ConnectionResetError('the host hung up')
-
-
-@dataclass(slots=True)
-class _Session:
-    """One host's session: its number, the plugging-in it began after, and its connections."""
-
-    number: int
-    plugs: int
-    connections: int = 0
 
 
 def check_free(path: str) -> None:

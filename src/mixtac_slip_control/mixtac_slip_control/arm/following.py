@@ -14,13 +14,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.arm.planner import AdvancePlanner, JointLine
 from mixtac_slip_control.errors import ArmError
 from mixtac_slip_control.parameters import CONTROLLER_PERIOD_S, SlipControlParameters
-
-Floats = NDArray[np.float64]
 
 ARM_LAG_S: Final = 4e-3
 """Delay from commanded to actual position of the arm [s]: 3 to 4 ms on an FR3 that is commanded by

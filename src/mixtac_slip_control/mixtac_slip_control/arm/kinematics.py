@@ -18,12 +18,9 @@ from importlib import resources
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.errors import ArmError
-
-Floats = NDArray[np.float64]
-
 
 MOVING = ('revolute', 'continuous', 'prismatic')
 Vector = tuple[float, float, float]

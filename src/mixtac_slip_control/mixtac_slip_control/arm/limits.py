@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.errors import ArmError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,16 +16,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory, settling_time
 from mixtac_slip_control.errors import BackendError, SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,8 +184,8 @@ SAFE_SETTINGS: Final = {
 """Parameters of a joint_trajectory_controller with the values that the stream needs. A version
 without one of them behaves as with this value."""
 CONTINUES: Final = ('interpolate_from_desired_state', 'open_loop_control')
-"""Names of the parameter by which a trajectory continues from the last command: the second one on
-Humble and, besides the first, on Jazzy. One of them must be true."""
+"""Names of the parameter by which a trajectory continues from the last command; Jazzy has both. One
+of them must be true."""
 
 
 def unsafe_setting(values: Mapping[str, object]) -> str:

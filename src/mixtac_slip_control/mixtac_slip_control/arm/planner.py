@@ -16,17 +16,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from ruckig import ControlInterface, InputParameter, Result, Ruckig
 from ruckig import Trajectory as Motion
 
+from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JOINT_MARGIN, JointLimits
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import ArmError, UnreachableError
 from mixtac_slip_control.parameters import CONTROLLER_PERIOD_S
-
-Floats = NDArray[np.float64]
 
 OVERLAP_S: Final = 3.0 * CONTROLLER_PERIOD_S
 """Time before the call at which a trajectory begins [s]: at least two cycles, so that the

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_core.events.arrays import Floats
 from mixtac_core.events.packets import CDR_LITTLE_ENDIAN
 from mixtac_slip_control.arm.kinematics import SerialArm
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

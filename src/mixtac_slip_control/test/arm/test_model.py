@@ -128,7 +128,7 @@ SAFE = {
         ({'positions_upsampling.enable': True}, 'positions_upsampling.enable'),
         ({'interpolation_method': 'none'}, 'interpolation_method'),
         ({'interpolate_from_desired_state': False}, 'interpolate_from_desired_state'),
-        # Kilted and Jazzy have no replacement and no upsampling; Humble has only the last name.
+        # Kilted and Jazzy have no replacement and no upsampling; Jazzy has the last name, too.
         ({'allow_trajectory_replacement': None, 'positions_upsampling.enable': None}, ''),
         ({'interpolate_from_desired_state': None, 'open_loop_control': True}, ''),
         ({'interpolate_from_desired_state': None}, 'interpolate_from_desired_state'),

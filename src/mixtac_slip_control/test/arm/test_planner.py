@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.arm import READY, JointTrajectoryController, Trajectory, flange_place, violations
+from mixtac_sim.arm import (
+    READY,
+    SIDEWAYS,
+    JointTrajectoryController,
+    Trajectory,
+    flange_place,
+    violations,
+)
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner
@@ -93,7 +100,8 @@ def test_the_first_tenth_of_a_millimetre_takes_the_optimal_time(planner):
 class Stream:
     """A planner that streams to an emulated controller, cycle by cycle, late by some transport."""
 
-    def __init__(self, q, normal, transport_s=2e-3, phase_s=3e-4):
+    def __init__(self, q, normal, transport_s=2e-3, phase_s=3e-4, *, replaces=False):
+        self.replaces, self.active = replaces, False
         self.planner = AdvancePlanner(ARM, LIMITS)
         self.planner.reset(q, normal, 1e-3)
         self.controller = JointTrajectoryController()
@@ -104,8 +112,12 @@ class Stream:
     def step(self, target, *, stop=False):
         while self.under_way and self.under_way[0][0] <= self.now:
             arrival, plan = self.under_way.pop(0)
-            t = Trajectory(plan.stamp_s, plan.times_s, plan.q, plan.dq, plan.ddq)
+            start_s = plan.stamp_s
+            if self.replaces and self.active:  # a stamp in the past becomes the next cycle's
+                start_s = max(start_s, float(np.ceil(1e3 * arrival - 1e-6)) * 1e-3)
+            t = Trajectory(start_s, plan.times_s, plan.q, plan.dq, plan.ddq)
             assert self.controller.accept(t, arrival) is None
+            self.active = True
         self.commands.append(self.controller.sample(self.now)[0])
         now = self.now + self.phase_s
         plan = self.planner.stop(now) if stop else self.planner.plan(now, target)
@@ -142,6 +154,17 @@ def test_no_stream_of_targets_breaks_a_limit_of_the_arm(q, normal, transport, ph
     assert stream.planner.refused == 0
     reached = stream.planner.line.at(stream.planner.target)
     assert np.allclose(stream.commands[-1], reached, atol=1e-9)
+
+
+@pytest.mark.parametrize('replaces', [False, True])
+def test_only_a_controller_that_keeps_the_stamps_can_follow_the_stream(replaces):
+    """As Jazzy and Kilted do; from ros2_controllers 6.8.0 on, `allow_trajectory_replacement` lets a
+    trajectory that is stamped in the past begin at the time of playback, and is refused."""
+    stream, rng, target = Stream(READY, SIDEWAYS, replaces=replaces), np.random.default_rng(0), 1e-4
+    for k in range(400):
+        target = float(rng.uniform(0.0, 1e-3)) if k % 12 == 0 else target
+        stream.step(target)
+    assert (violations(np.stack(stream.commands), 1e-3) > 0) == replaces
 
 
 def test_the_tip_keeps_its_own_limits_where_the_joints_allow_more():
@@ -205,16 +228,3 @@ def test_an_advance_that_the_arm_cannot_make_is_refused_at_the_reset():
         planner.reset(stretched, np.array([0.0, 0.0, 1.0]))
     with pytest.raises(ArmError):
         planner.reset(READY, X, 1.0)
-
-
-def test_it_moves_until_the_last_point(planner):
-    assert not planner.moving(5.0)
-    trajectory = planner.plan(5.0, 2e-3)
-    assert planner.moving(5.0)
-    assert planner.moving(trajectory.end_s - 2e-3)
-    assert not planner.moving(trajectory.end_s + 2e-3)
-    braking = planner.stop(5.008)
-    assert planner.moving(braking.end_s - 2e-3)
-    assert not planner.moving(braking.end_s + 2e-3)
-    # A clock that was set back by a day does not keep it moving.
-    assert not planner.moving(braking.end_s - 86400.0)
