@@ -312,7 +312,7 @@ class RecordedSource:
         while True:
             self._timeline.restart(start_us)
             self._anchor = self._reached_us = shift_us = None
-            with closing(recording.pieces(start_us)) as pieces:
+            with closing(recording.pieces()) as pieces:
                 steps = self._timeline.steps(from_time(pieces, start_us), self._step_us)
                 for step in steps:
                     if shift_us is None:

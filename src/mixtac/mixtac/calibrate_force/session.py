@@ -141,7 +141,7 @@ def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F6
     estimator = ForceEstimator(open_estimator(model), assume_free=True)
     rows: list[tuple[float, ...]] = []
     reasons: Counter[Reason] = Counter()
-    for piece in recording.pieces(recording.info.start_us):
+    for piece in recording.pieces():
         for frame in piece.frames:
             image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
             estimator.push_frame(image, frame.middle_us)

@@ -194,9 +194,9 @@ def test_forces_that_are_not_valid_are_used_with_a_warning_but_for_frozen_frames
     own, other = (np.exp(random.normal(5.0, 0.3, (260, 346))) for _ in range(2))
 
     def recording(later):
-        def pieces(start_us):
+        def pieces():
             for index in range(40):
-                end_us = start_us + 40_000 * (index + 1)
+                end_us = 1_000_000 + 40_000 * (index + 1)
                 image = own if index < 15 else later
                 if index < 15 or later is other:
                     image = image + random.normal(0.0, 2.0, own.shape)

@@ -92,13 +92,8 @@ class Aedat2Recording:
             contents=(('events', chip),),
         )
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield the events in stretches; times [us] continue where 32 bits roll over.
-
-        Args:
-            from_us: Has no effect: earlier pieces come first.
-        """
-        del from_us
+    def pieces(self) -> Generator[Piece, None, None]:
+        """Yield the events in stretches; times [us] continue where 32 bits roll over."""
         width, height = self.info.width, self.info.height
         latest_us = self.info.start_us
         for begin in range(0, len(self._words), WORDS):

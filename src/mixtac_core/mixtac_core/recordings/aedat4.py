@@ -13,6 +13,7 @@ import heapq
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -113,11 +114,8 @@ class Aedat4Recording:
         """Return none: the format holds no forces."""
         return {}
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+    def pieces(self) -> Generator[Piece, None, None]:
         """Yield what was recorded, merged by time.
-
-        Args:
-            from_us: Time to begin at [us]; earlier pieces may come first.
 
         Raises:
             DamagedRecordingError: The file is damaged.
@@ -129,13 +127,9 @@ class Aedat4Recording:
         while pieces := self._received():
             for piece in pieces:
                 piece.check()
-                outside = (piece.events.x >= width) | (piece.events.y >= height)
-                if outside.any():
-                    self.counters.events_outside += int(np.count_nonzero(outside))
-                    inside = piece.events[~outside]
-                    yield Piece(piece.start_us, piece.until_us, piece.advances, inside)
-                elif piece.until_us >= from_us:
-                    yield piece
+                inside = (piece.events.x < width) & (piece.events.y < height)
+                self.counters.events_outside += int(np.count_nonzero(~inside))
+                yield piece if inside.all() else replace(piece, events=piece.events[inside])
 
     def _open(self) -> RecordingInfo:
         """Start the process that reads the file, and return its description."""

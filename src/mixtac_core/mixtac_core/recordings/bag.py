@@ -85,10 +85,6 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
     return np.zeros(count, kind)
 
 
-_RENAMED = {'event_array_msgs/msg/EventArray': topics.EVENTS.type_name}
-"""Former names of message types whose fields are the same."""
-
-
 class BagFile:
     """A bag, open for reading.
 
@@ -130,7 +126,7 @@ class BagFile:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
             form = getattr(connection.ext, 'serialization_format', 'cdr')
-            kind = _RENAMED.get(connection.msgtype, connection.msgtype)
+            kind = connection.msgtype
             self.types[topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
 
     def __enter__(self) -> BagFile:
@@ -167,14 +163,12 @@ class BagFile:
     def messages(
         self,
         *wanted: str,
-        start_ns: int | None = None,
         raw: Collection[str] = (),
     ) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time received [ns, host clock], message) in recording order.
 
         Args:
             wanted: Absolute topic names.
-            start_ns: Begin with messages received at this time; None for the first.
             raw: Topics among `wanted` whose messages stay serialised: `bytes`, see `is_ros1`.
 
         Raises:
@@ -187,7 +181,7 @@ class BagFile:
             raise RecordingError(f'{self.path} has no topic {min(missing)}; it has {listed}')
         for reader in self._readers:
             chosen = [each for each in reader.connections if each.topic in wanted]
-            messages = reader.messages(chosen, start_ns) if chosen else iter(())
+            messages = reader.messages(chosen) if chosen else iter(())
             while True:
                 try:
                     connection, received_ns, data = next(messages)
@@ -203,8 +197,7 @@ class BagFile:
     def _deserialised(self, connection: Connection, data: bytes) -> Any:  # noqa: ANN401
         if self.is_ros1:
             return self._readers[0].deserialize(data, connection.msgtype)
-        kind = _RENAMED.get(connection.msgtype, connection.msgtype)
-        return self._types.deserialize_cdr(data, kind)
+        return self._types.deserialize_cdr(data, connection.msgtype)
 
     def wrenches(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the stamps [n] [ns, the topic's own clock] and forces x, y, z [n, 3] [N]."""

@@ -19,10 +19,8 @@ from typing import Any
 import numpy as np
 
 from mixtac_core.events.codec import READABLE, StreamDecoder
-from mixtac_core.events.foreign import EVT3
 from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
-from mixtac_core.events.windows import RESTART_US
 from mixtac_core.node import topics
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
@@ -62,8 +60,6 @@ OTHER_CLOCK_US = 60_000_000
 """Event times that differ by more than this from the stamp of their packet are on another clock."""
 WRENCHES = 1000
 """Wrenches that are read at once."""
-MARGIN_NS = 10_000_000_000
-"""Time before the expected reception at which reading begins after a jump: clocks drift [ns]."""
 
 
 class BagRecording:
@@ -90,7 +86,6 @@ class BagRecording:
         self._celsius = (0, math.nan)
         self._unreadable: dict[str, str] = {}
         self._decoder = StreamDecoder()
-        self._seekable = True
         try:
             self._choose(selection or Selection())
             self._offset_us = 0
@@ -117,11 +112,8 @@ class BagRecording:
         """Close the files."""
         self._bag.close()
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+    def pieces(self) -> Generator[Piece, None, None]:
         """Yield the recorded data in the order in which they were received.
-
-        Args:
-            from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
 
         Raises:
             RecordingError: The bag is damaged, or a packet is in an unknown encoding.
@@ -130,12 +122,11 @@ class BagRecording:
         named = [self._events, self._images, self._imu, self._exposures, self._edges]
         named.append(self._temperatures)
         chosen = [topic for topic in named if topic]
-        start_ns = self._received_before(from_us)
         self._decoder = StreamDecoder()
         # A frame waits for the message with its exposure, at most PATIENCE messages.
         held: Piece | None = None
         passed = 0
-        for topic, _, message in self._messages(*chosen, start_ns=start_ns):
+        for topic, _, message in self._messages(*chosen):
             if topic == self._exposures:
                 if held is not None and (exposed := self._exposed(held, message)):
                     yield exposed
@@ -159,10 +150,10 @@ class BagRecording:
         if held is not None:
             yield held
 
-    def _messages(self, *wanted: str, start_ns: int | None = None) -> Any:  # noqa: ANN401
+    def _messages(self, *wanted: str) -> Any:  # noqa: ANN401
         """Yield the messages of some topics, event arrays of ROS 1 decoded; note temperatures."""
         raw = {topic for topic in wanted if self._arrays and topic == self._events}
-        for topic, received_ns, message in self._bag.messages(*wanted, start_ns=start_ns, raw=raw):
+        for topic, received_ns, message in self._bag.messages(*wanted, raw=raw):
             if topic == self._images and not stamp_to_us(message.header.stamp):
                 self.counters.frames_without_time += 1
             elif topic == self._temperatures:
@@ -187,6 +178,10 @@ class BagRecording:
         beside = self._events or ''
         images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
+        if self._images and next(self._messages(self._images), None) is None:
+            count = self._bag.counts[self._images]
+            self._unreadable[self._images] = f'the stamps of its {count} images are zero'
+            self._images = None
         samples = self._bag.topics(topics.IMU.type_name)
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
         self._exposures = self._beside(topics.IMAGE_EXPOSURE.type_name, self._images)
@@ -237,13 +232,9 @@ class BagRecording:
             apart_us = _stamp_us(first) - start_us
             self._offset_us = apart_us if self._on_host_clock(start_us, apart_us) else 0
             size = (int(first.width), int(first.height))
-            # Times roll over every 17 s: they are known only from the beginning on.
-            self._seekable = self._arrays or first.encoding != EVT3
         color_filter = 0
-        image = (
-            next((m for _, _, m in self._messages(self._images)), None) if self._images else None
-        )
-        if image is not None:
+        if self._images:
+            image = self._first(self._images)
             color_filter = convert.color_filter(image.encoding, *self._corner)
             size = size or (int(image.width), int(image.height))
         names = (('events', self._events), ('image', self._images), ('imu', self._imu))
@@ -284,18 +275,6 @@ class BagRecording:
         for _, _, message in self._messages(topic or ''):
             return message
         raise RecordingError(f'{self._path} has no messages on {topic}')
-
-    def _received_before(self, from_us: int) -> int | None:
-        """Return a time of reception before all data after a camera time; None for the start."""
-        start_us = self._info.start_us
-        start_ns = self._bag.start_ns + 1000 * (from_us - start_us) - MARGIN_NS
-        if not self._seekable or start_ns <= self._bag.start_ns:
-            return None
-        for _, _, message in self._messages(self._leader or '', start_ns=start_ns):
-            found_us = self._piece(self._leader or '', message).start_us
-            # Elsewhere where the clocks drifted apart, or after a long pause.
-            return start_ns if start_us - RESTART_US <= found_us <= from_us else None
-        return None
 
     def _piece(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
         try:

@@ -8,17 +8,18 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import InertialSamples
+from mixtac_core.events.windows import RESTART_US
 from mixtac_core.node.files import new_folder
 from mixtac_core.recordings.aedat4 import Aedat4Writer
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.recording import (
     AEDAT4_FILE,
+    Piece,
     ReadCounters,
     Recording,
     RecordingError,
@@ -36,8 +37,8 @@ WRITERS: dict[str, Callable[[Path, RecordingInfo], Writer]] = {
     'npz': lambda folder, _: NpzWriter(folder),
 }
 """Formats of an export, by the name of `--to`: what makes the writer of a folder."""
-ROWS = 1 << 14
-"""Readings that are written at once."""
+PIECES = 500
+"""Pieces that are written at once."""
 LEAST_HZ = 10.0
 """Fewer events per second than the noise of any event camera [1/s]."""
 MOST_HZ = 1e8
@@ -73,6 +74,13 @@ class Counts:
     length_us: int = 0
     grid_us: int = 0
     forces_replaced: bool = False
+
+    def add(self, piece: Piece) -> None:
+        """Count the readings of a piece."""
+        self.events += len(piece.events)
+        self.samples += len(piece.imu.t)
+        self.frames += len(piece.frames)
+        self.edges += len(piece.edges.t)
 
     def add_times(self, events: Events, latest_us: int) -> None:
         """Narrow the grid of the times down by events after those until `latest_us`."""
@@ -146,62 +154,36 @@ def export_recording(
     return counts
 
 
-Readings = TypeVar('Readings', Events, InertialSamples)
-
-
-class _Gathered(Generic[Readings]):
-    """Gathers readings and passes them on, `ROWS` or more at once, in order of time."""
-
-    def __init__(
-        self,
-        write: Callable[[Readings], None],
-        concatenate: Callable[[list[Readings]], Readings],
-    ) -> None:
-        self._write: Callable[[Readings], None] = write
-        self._concatenate: Callable[[list[Readings]], Readings] = concatenate
-        self._parts: list[Readings] = []
-        self._count = 0
-
-    def add(self, readings: Readings) -> int:
-        """Add readings, and return how many they are."""
-        count = len(readings.t)
-        if not count:
-            return 0
-        if self._count >= ROWS or (self._parts and readings.t[0] < self._parts[-1].t[-1]):
-            self.flush()
-        self._parts.append(readings)
-        self._count += count
-        return count
-
-    def flush(self) -> None:
-        """Pass on what is left."""
-        if self._parts:
-            self._write(self._concatenate(self._parts))
-            self._parts, self._count = [], 0
-
-
 def _export_camera(
     recording: Recording,
     writer: Writer,
     counts: Counts,
     progress: Callable[[float], None],
 ) -> None:
-    info, reported = recording.info, 0.0
-    events = _Gathered(writer.events, Events.concatenate)
-    samples = _Gathered(writer.samples, InertialSamples.concatenate)
-    for piece in recording.pieces(0):
-        counts.events += events.add(piece.events)
-        counts.samples += samples.add(piece.imu)
+    info, held = recording.info, list[Piece]()
+    for piece in recording.pieces():
+        # A clock that was reset begins a new part.
+        if len(held) == PIECES or (held and piece.until_us < held[-1].until_us - RESTART_US):
+            _write_pieces(held, writer, counts)
+            progress(min((piece.until_us - info.start_us) / max(info.length_us, 1), 1.0))
+            held = []
+        held.append(piece)
+    _write_pieces(held, writer, counts)
+    progress(1.0)
+
+
+def _write_pieces(pieces: list[Piece], writer: Writer, counts: Counts) -> None:
+    if not pieces:
+        return
+    events = Events.concatenate([piece.events for piece in pieces])
+    samples = InertialSamples.concatenate([piece.imu for piece in pieces])
+    if len(events):
+        writer.events(events)
+    if len(samples.t):
+        writer.samples(samples)
+    for piece in pieces:
+        counts.add(piece)
         for frame in piece.frames:
             writer.frame(frame)
-            counts.frames += 1
         if len(piece.edges.t):
             writer.edges(piece.edges)
-            counts.edges += len(piece.edges.t)
-        done = (piece.until_us - info.start_us) / max(info.length_us, 1)
-        if done > reported + 0.005:
-            reported = done
-            progress(min(done, 1.0))
-    events.flush()
-    samples.flush()
-    progress(1.0)

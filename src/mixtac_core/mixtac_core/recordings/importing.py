@@ -88,7 +88,7 @@ def _write(
     first = last = following
     first_ns = None if same_clock or first is None else first[0]
     reached_us = start_us = latest_us = -1
-    for piece in recording.pieces(0):
+    for piece in recording.pieces():
         piece.check()
         if start_us < 0:
             start_us = piece.start_us
@@ -103,7 +103,8 @@ def _write(
         while following is not None and following[0] - shift_ns <= received_ns:
             _write_wrench(writer, counts, *following, following[0] - shift_ns)
             last, following = following, next(waiting, None)
-        _write_piece(writer, counts, piece, received_ns)
+        _write_piece(writer, piece, received_ns)
+        counts.add(piece)
     if start_us < 0:
         raise RecordingError('there is nothing to import: no events and no frames')
     counts.length_us = reached_us - start_us
@@ -149,17 +150,13 @@ def _checked_end(events: Events, latest_us: int) -> int:
     return int(events.t[-1])
 
 
-def _write_piece(writer: StreamWriter, counts: Counts, piece: Piece, received_ns: int) -> None:
+def _write_piece(writer: StreamWriter, piece: Piece, received_ns: int) -> None:
     if len(piece.events):
         writer.events(piece.events, piece.until_us, received_ns)
-        counts.events += len(piece.events)
     for frame in piece.frames:
         writer.frame(frame, 0, received_ns)
-        counts.frames += 1
     writer.samples(piece.imu, 0, received_ns)
-    counts.samples += len(piece.imu.t)
     writer.edges(piece.edges, 0, received_ns)
-    counts.edges += len(piece.edges.t)
 
 
 def _write_wrench(

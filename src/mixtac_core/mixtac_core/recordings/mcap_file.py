@@ -67,20 +67,12 @@ class McapFile:
         """Do nothing: the file is open only while it is read."""
 
     def messages(
-        self, connections: Collection[Connection], start: int | None = None
+        self, connections: Collection[Connection]
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield topic, time received [ns] and CDR of the messages, chunk by chunk.
-
-        Args:
-            connections: Topics to read.
-            start: Begin with messages received at this time [ns]; None for the first.
-        """
+        """Yield topic, time received [ns] and CDR of the messages of some topics."""
         wanted = {each.id: each for each in connections}
-        first_ns = start or 0
-        for record in self._records(first_ns):
-            if not isinstance(record, Message) or record.channel_id not in wanted:
-                continue
-            if record.log_time >= first_ns:
+        for record in self._records():
+            if isinstance(record, Message) and record.channel_id in wanted:
                 yield wanted[record.channel_id], record.log_time, record.data
 
     def _read_index(self) -> bool:
@@ -106,7 +98,7 @@ class McapFile:
             DamagedRecordingError: Nothing can be read.
         """
         times = []
-        for record in self._records(0):
+        for record in self._records():
             if isinstance(record, Schema):
                 self._schemas.setdefault(record.id, record)
             elif isinstance(record, Channel):
@@ -123,12 +115,8 @@ class McapFile:
         self.notes.setdefault(0, f'{self.path.name} was not closed')
         self.start_time, self.end_time = min(times, default=0), max(times, default=-1) + 1
 
-    def _records(self, start_ns: int) -> Iterator[Any]:
-        """Yield schemas, channels and messages; note what is damaged.
-
-        Args:
-            start_ns: Leave out chunks of earlier messages [ns].
-        """
+    def _records(self) -> Iterator[Any]:
+        """Yield schemas, channels and messages; note what is damaged."""
         name, size = self.path.name, self.path.stat().st_size
         with self.path.open('rb') as file:
             records = StreamReader(file, emit_chunks=True, record_size_limit=size).records
@@ -145,14 +133,14 @@ class McapFile:
                     return
                 if not isinstance(record, Chunk):
                     yield record
-                elif record.message_end_time >= start_ns:
-                    try:
-                        inside = breakup_chunk(record, validate_crc=True)
-                    except Exception as error:  # noqa: BLE001  (as above)
-                        self.notes[at] = f'{name} lacks a chunk at byte {at} ({reason(error)})'
-                    else:
-                        # Schemas and channels first, which have no time.
-                        yield from sorted(inside, key=lambda each: getattr(each, 'log_time', -1))
+                    continue
+                try:
+                    inside = breakup_chunk(record, validate_crc=True)
+                except Exception as error:  # noqa: BLE001  (as above)
+                    self.notes[at] = f'{name} lacks a chunk at byte {at} ({reason(error)})'
+                else:
+                    # Schemas and channels first, which have no time.
+                    yield from sorted(inside, key=lambda each: getattr(each, 'log_time', -1))
 
     def _connection(self, channel: Channel) -> Connection:
         schema = self._schemas.get(channel.schema_id)

@@ -244,11 +244,8 @@ class Recording(Protocol):
     def info(self) -> RecordingInfo:
         """Description; its damage is what has been found so far."""
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield the recorded data in order, reading as they are needed.
-
-        Args:
-            from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
+    def pieces(self) -> Generator[Piece, None, None]:
+        """Yield the recorded data in order from the beginning, reading as they are needed.
 
         Raises:
             RecordingError: The data are damaged.

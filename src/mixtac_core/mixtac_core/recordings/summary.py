@@ -139,7 +139,7 @@ def _summarise_readings(recording: Recording) -> Summary:
     events, counts, damage = EventSummary(), dict.fromkeys(KINDS, 0), ''
     first_us = last_us = -1
     try:
-        for piece in recording.pieces(0):
+        for piece in recording.pieces():
             first_us = piece.start_us if first_us < 0 else min(first_us, piece.start_us)
             last_us = max(last_us, piece.until_us)
             events.add(piece.events)

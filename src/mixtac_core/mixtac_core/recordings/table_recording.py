@@ -58,7 +58,7 @@ class TableRecording:
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
         self._frame_size: tuple[int, int] | None = None
-        first = next(self.pieces(0), None)
+        first = next(self.pieces(), None)
         if first is None:
             raise RecordingError(f'{path} holds nothing: no events and no frames')
         self._start_us = first.start_us
@@ -80,16 +80,12 @@ class TableRecording:
             size_known=self._size() is not None,
         )
 
-    def pieces(self, from_us: int) -> Generator[Piece, None, None]:
+    def pieces(self) -> Generator[Piece, None, None]:
         """Yield the rows of all tables, merged by time.
-
-        Args:
-            from_us: Has no effect: earlier pieces come first.
 
         Raises:
             RecordingError: A table cannot be read, or events lie outside of the camera.
         """
-        del from_us
         unit, names = self._options.time_unit, self._tables.names
         parts = [
             _cut(self._tables.rows(name, unit), 't', make)

@@ -197,7 +197,7 @@ def read(path, from_us=0, **selection):
     """
     with contextlib.closing(open_recording(path, Selection(**selection))) as recording:
         found, parts = Read(recording.info, recording.counters), []
-        for piece in from_time(recording.pieces(from_us), from_us):
+        for piece in from_time(recording.pieces(), from_us):
             parts.append(piece.events)
             if piece.advances:
                 found.times.append(piece.until_us)

@@ -307,6 +307,16 @@ def test_images_without_a_stamp_are_left_out_and_counted(tmp_path):
     assert warning.startswith('/mixtac/image_raw: 2 ')
 
 
+def test_images_that_all_lack_a_stamp_are_no_frames(tmp_path):
+    events = some_events()
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(events)
+        bag.image(np.zeros((4, 4), np.uint8), 0, START_US, encoding='mono8')
+    found = read(tmp_path / 'bag')
+    assert_equal(found.events, events)
+    assert (found.frames, '/mixtac/image_raw' in found.info.damage) == ([], True)
+
+
 def test_what_is_no_recording_is_refused_by_its_format(tmp_path):
     begins = {
         '#!AER-DAT3.1': 'AEDAT 3',

@@ -32,7 +32,7 @@ def data(name: str) -> Path:
 
 def pieces(path: Path):
     with contextlib.closing(open_recording(path)) as recording:
-        return recording.info, list(recording.pieces(0))
+        return recording.info, list(recording.pieces())
 
 
 def test_an_aedat4_file_whose_table_has_no_counts():

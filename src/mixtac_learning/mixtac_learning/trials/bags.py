@@ -261,7 +261,7 @@ def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], list[tuple[int
     gaps: list[tuple[int, int]] = []
     latest_us = missing = 0
     try:
-        for piece in recording.pieces(recording.info.start_us):
+        for piece in recording.pieces():
             if len(piece.events):
                 parts.append(piece.events)
             if piece.advances:
