@@ -89,7 +89,7 @@ class Aedat2Recording:
             color_filter=0,
             start_us=start_us,
             length_us=(end_us - start_us) % (1 << 32),
-            contents=(('events', chip),),
+            contents=(('events', 'events'),),
         )
 
     def pieces(self) -> Generator[Piece, None, None]:

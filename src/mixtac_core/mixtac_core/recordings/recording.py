@@ -120,8 +120,10 @@ def not_a_recording(path: Path) -> RecordingError:
             f'{path} is no recording: a {what}',
             remedy='`mixtac inspect --formats` lists the formats that are read',
         )
-    remedy = known.remedy or f'name it {path.stem}{known.suffixes[0]}'
-    return RecordingError(f'{path} is {known.name}, not {path.suffix or "named so"}', remedy=remedy)
+    remedy = known.remedy or 'run `mixtac import` on it'
+    if not known.remedy and path.suffix.lower() not in known.suffixes:
+        remedy = f'name it {path.stem}{known.suffixes[0]}'
+    return RecordingError(f'{path} is no bag but {known.name}', remedy=remedy)
 
 
 LATEST_US = (1 << 31) * 1_000_000 - 1
