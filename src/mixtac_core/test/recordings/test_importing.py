@@ -340,11 +340,6 @@ def test_a_place_above_a_new_folder_is_refused(tmp_path: Path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_nothing_can_be_chosen_of_arrays(tmp_path: Path):
-    with pytest.raises(RecordingError):
-        import_recording(events_npz(tmp_path), tmp_path / 'bag', selection=Selection(events='a'))
-
-
 def test_a_clock_that_was_reset_is_refused(tmp_path: Path):
     with Bag(tmp_path / 'reset') as bag:
         bag.events(some_events(start_us=100_000_000), stamp_us=200_000_000)

@@ -213,7 +213,7 @@ def test_the_files_of_a_split_bag_are_read_in_order_of_time(mcap, tmp_path):
     assert contents(tmp_path)[0] == [*sent[:count], ('/force', 2 * 10**18, sent[1][2])]
 
 
-@pytest.mark.parametrize('seed', range(12))
+@pytest.mark.parametrize('seed', range(8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, mcap, sqlite, seed):
     rng = np.random.default_rng(seed)
     path = (mcap, sqlite)[seed % 2][0]
