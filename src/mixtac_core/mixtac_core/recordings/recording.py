@@ -182,7 +182,8 @@ class RecordingInfo:
         color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
         start_us: Time of the first event, or of the first piece of a recording without events [us,
             recorded camera clock].
-        length_us: Length [us], to within the time that data took to reach the recorder.
+        length_us: Length [us], to within the time that data took to reach the recorder; 0 where it
+            is not known before the recording is read.
         contents: What is read: kind of data and name of its topic or stream.
         size_known: False where the recording does not state the size of the camera.
         damage: What is missing because the file is incomplete, or a topic that cannot be read;
