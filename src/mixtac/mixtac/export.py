@@ -19,15 +19,9 @@ from mixtac.options import OptionalPath, Split
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag_writer import repair as repair_bag
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
-from mixtac_core.recordings.export import Counts, export_recording
+from mixtac_core.recordings.export import export_recording
 from mixtac_core.recordings.importing import import_recording
-from mixtac_core.recordings.recording import (
-    AEDAT4_SUFFIX,
-    FORMATS,
-    DamagedRecordingError,
-    RecordingError,
-    Selection,
-)
+from mixtac_core.recordings.recording import FORMATS, DamagedRecordingError, Selection
 from mixtac_core.recordings.summary import summarise
 from mixtac_core.recordings.tables import TableOptions
 from mixtac_fger.alignment.bags import write_fit
@@ -71,8 +65,6 @@ def export(
     events: EventsOf = '',
     image: ImageOf = '',
     imu: ImuOf = '',
-    time_unit: TimeUnit = '',
-    size: Size = '',
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
     console = Console(markup=False)
@@ -85,7 +77,6 @@ def export(
             out,
             lambda done: bars.update(bar, completed=done),
             Selection(events, image, imu),
-            TableOptions(time_unit, size=_size(size)),
         )
     console.print(
         f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
@@ -95,11 +86,11 @@ def export(
         console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
-    _warn(console, counts)
+    _warn(console, counts.warnings())
 
 
-def _warn(console: Console, counts: Counts) -> None:
-    for each in counts.warnings():
+def _warn(console: Console, warnings: list[str]) -> None:
+    for each in warnings:
         console.print(f'warning: {each}', style='yellow')
 
 
@@ -164,9 +155,8 @@ def import_(
             out, {**figures, 'imported_from': source.name}, profile=profile, split=split
         )
         console.print(f'described in {path}')
-    if not counts.frames:
-        console.print('warning: no frames: the force cannot be estimated', style='yellow')
-    _warn(console, counts)
+    lacking = [] if counts.frames else ['no frames: the force cannot be estimated']
+    _warn(console, lacking + counts.warnings())
 
 
 def _size(text: str) -> tuple[int, int] | None:
@@ -213,15 +203,7 @@ def inspect(
     title = f'{bag}, {summary.duration_s:.1f} s'
     console = Console(markup=False)
     console.print(make_table(title, headings, rows, words=2))
-    for each in summary.warnings:
-        console.print(f'warning: {each}', style='yellow')
-    for topic, events in sorted(summary.events.items()):
-        for count, what in (
-            (events.backward_steps, 'steps back in time, by a reset of the clock or disorder'),
-            (events.outside, 'events outside of the sensor, left out'),
-        ):
-            if count:
-                console.print(f'warning: {topic}: {what}: {count}', style='yellow')
+    _warn(console, summary.warnings)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 
@@ -241,13 +223,8 @@ def repair(
     The new bag is in MCAP with an index, checksums and metadata.yaml.
     """
     console = Console(markup=False)
-    if recording.suffix.lower() == AEDAT4_SUFFIX:
-        raise RecordingError(
-            f'{recording} is no bag', remedy='open it in DV and save what it reads'
-        )
     repaired = repair_bag(recording, out)
     console.print(f'{out}: {sum(repaired.counts.values())} messages')
     for topic, count in sorted(repaired.counts.items()):
         console.print(f'{topic}: {count} messages')
-    if repaired.damage:
-        console.print(f'warning: {repaired.damage}', style='yellow')
+    _warn(console, [repaired.damage] if repaired.damage else [])

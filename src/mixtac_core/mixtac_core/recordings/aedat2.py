@@ -35,7 +35,7 @@ NO_EVENT: Final = 1 << 31 | 1 << 10
 """Bits that no event has."""
 WORDS: Final = 10_000
 """Words that are read at once."""
-_HEADER_LINE: Final = re.compile(rb'#[\t\x20-\x7e]*\r?\n')
+_HEADER_LINE: Final = re.compile(rb'#[^\x00-\x08\x0a-\x0c\x0e-\x1f]*\n')
 
 
 class Aedat2Recording:
@@ -63,7 +63,7 @@ class Aedat2Recording:
             while line := _HEADER_LINE.fullmatch(file.readline(1000)):
                 start = file.tell()
                 if b'AEChip:' in line[0]:
-                    chip = line[0].partition(b':')[2].decode().strip()
+                    chip = line[0].partition(b':')[2].decode(errors='replace').strip()
         named = [found for name, found in SIZES.items() if name in chip.lower()]
         if not size and not named:
             raise RecordingError(
@@ -89,7 +89,7 @@ class Aedat2Recording:
             color_filter=0,
             start_us=start_us,
             length_us=(end_us - start_us) % (1 << 32),
-            contents=(('events', chip),),
+            contents=(('events', 'events'),),
         )
 
     def pieces(self) -> Generator[Piece, None, None]:

@@ -216,10 +216,8 @@ class _File:
         if not set(self._kinds) - {'triggers'} or not sized:
             raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
         if start_us >= end_us:
-            # A table of packets without times.
-            spans = [(piece.start_us, piece.until_us) for piece in self.merged()]
-            start_us = min((start for start, _ in spans), default=0)
-            end_us = max((until for _, until in spans), default=0)
+            # A table of packets without times: the length stays unknown.
+            start_us = end_us = next((piece.start_us for piece in self.merged()), 0)
         self.info = RecordingInfo(
             path=path,
             kind='AEDAT4 file',

@@ -8,13 +8,16 @@ An MCAP file that was cut off or damaged is read as far as it is whole
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, Nodetype
@@ -111,6 +114,7 @@ class BagFile:
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._types = typestore()
         self._readers: list[Any] = []
+        self._held = contextlib.ExitStack()
         self._missing = ''
         try:
             self._open()
@@ -142,6 +146,7 @@ class BagFile:
         for reader in self._readers:
             reader.close()
         self._readers = []
+        self._held.close()
 
     @property
     def damage(self) -> str:
@@ -210,20 +215,19 @@ class BagFile:
     def _open(self) -> None:
         """Open the files of the bag, in the order of their first messages."""
         folder = self.path if self.path.is_dir() else None
-        files = sorted(
-            each for each in (folder.iterdir() if folder else [self.path]) if _is_storage(each)
-        )
+        files = sorted(filter(is_storage, folder.iterdir())) if folder else [self.path]
         facts = _facts(folder) if folder else {}
-        if not files:
+        if not files or not (self.is_ros1 or is_storage(files[0])):
             raise not_a_recording(self.path)
         named = [Path(str(each)).name for each in facts.get('relative_file_paths') or []]
         lost = sorted(set(named) - {each.name for each in files})
         self._missing = f'missing files: {", ".join(lost)}' if lost else ''
         cause: Exception | None = None
-        # The library expands what is compressed as a whole or by message, as metadata.yaml says.
-        for path in [folder] if folder and facts.get('compression_mode') else files:
+        # The library expands what is compressed by message, as metadata.yaml says.
+        by_message = str(facts.get('compression_mode')).upper() == 'MESSAGE'
+        for path in [folder] if folder and by_message else files:
             try:
-                self._readers.append(_opened(path))
+                self._readers.append(_opened(self._expanded(path)))
             except Exception as error:  # noqa: BLE001  (as in `messages`)
                 cause = error
                 self._missing += f'; {path.name} cannot be read: {reason(error)}'
@@ -231,6 +235,16 @@ class BagFile:
         if cause is not None and not any(each.message_count for each in self._readers):
             raise self._damaged(cause) from cause
         self._readers.sort(key=lambda each: each.start_time)
+
+    def _expanded(self, path: Path) -> Path:
+        """Return a file that is not compressed as a whole: the same, or a temporary one."""
+        if path.suffix != '.zstd':
+            return path
+        folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
+        expanded = Path(folder) / path.stem
+        with path.open('rb') as source, expanded.open('wb') as file:
+            zstandard.ZstdDecompressor().copy_stream(source, file)
+        return expanded
 
     def _damaged(self, error: Exception) -> DamagedRecordingError:
         remedy = 'copy it again, or try `mixtac repair`'
@@ -247,11 +261,10 @@ class BagFile:
         )
 
 
-def _is_storage(path: Path) -> bool:
-    suffixes = {*BAG_SUFFIXES, ROS1_SUFFIX}
-    return path.suffix in suffixes or (
-        path.suffix == '.zstd' and Path(path.stem).suffix in suffixes
-    )
+def is_storage(path: Path) -> bool:
+    """Return whether a file is one of a ROS 2 bag by its name, compressed as a whole or not."""
+    name = Path(path.stem) if path.suffix == '.zstd' else path
+    return name.suffix in BAG_SUFFIXES
 
 
 def _opened(path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
@@ -334,6 +347,6 @@ def distinct_names(bags: Iterable[Path]) -> dict[Path, str]:
 
 
 def _holds_bag(folder: Path) -> bool:
-    return (folder / 'metadata.yaml').exists() or any(
-        next(folder.glob(f'*{suffix}'), None) for suffix in BAG_SUFFIXES
+    return (folder / 'metadata.yaml').exists() or (
+        folder.is_dir() and any(map(is_storage, folder.iterdir()))
     )

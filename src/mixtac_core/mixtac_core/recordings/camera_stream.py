@@ -26,13 +26,12 @@ from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
 from mixtac_core.recordings.aedat2 import Aedat2Recording
 from mixtac_core.recordings.aedat4 import Aedat4Recording
-from mixtac_core.recordings.bag import BagFile, find_bags
+from mixtac_core.recordings.bag import BagFile, find_bags, is_storage
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
 from mixtac_core.recordings.recording import (
     AEDAT2,
     AEDAT4,
     AEDAT4_FILE,
-    BAG_SUFFIXES,
     HDF5,
     NPZ,
     ROS1_SUFFIX,
@@ -51,10 +50,6 @@ from mixtac_core.recordings.recording import (
 from mixtac_core.recordings.table_recording import open_table_recording
 from mixtac_core.recordings.tables import TableOptions
 from mixtac_core.recordings.writers import HDF5_FILE
-
-PATIENCE = 20
-"""Messages to wait for the exposure of a frame: 20 ms of packets."""
-
 
 OTHER_CLOCK_US = 60_000_000
 """Event times that differ by more than this from the stamp of their packet are on another clock."""
@@ -123,9 +118,8 @@ class BagRecording:
         named.append(self._temperatures)
         chosen = [topic for topic in named if topic]
         self._decoder = StreamDecoder()
-        # A frame waits for the message with its exposure, at most PATIENCE messages.
+        # A frame waits for the message with its exposure, at most until the next frame.
         held: Piece | None = None
-        passed = 0
         for topic, _, message in self._messages(*chosen):
             if topic == self._exposures:
                 if held is not None and (exposed := self._exposed(held, message)):
@@ -136,17 +130,13 @@ class BagRecording:
             if topic == self._images and self._exposures:
                 if held is not None:
                     yield held
-                held, passed = piece, 0
+                held = piece
                 continue
             if topic == self._events:
                 self.counters.packets_missing += counter.update(message.seq)
                 if not self._decoder.timed:
                     continue
             yield piece
-            passed += 1
-            if held is not None and passed >= PATIENCE:
-                yield held
-                held = None
         if held is not None:
             yield held
 
@@ -365,7 +355,7 @@ def open_recording(
         if known is AEDAT2:
             return Aedat2Recording(path, selection, options.size)
         return Aedat4Recording(path, selection)
-    if find_bags(path, 0) if path.is_dir() else suffix in {*BAG_SUFFIXES, ROS1_SUFFIX}:
+    if find_bags(path, 0) if path.is_dir() else is_storage(path) or suffix == ROS1_SUFFIX:
         return BagRecording(path, selection)
     if known in (None, HDF5, NPZ, TEXT) and (
         tables := open_table_recording(path, selection, options)

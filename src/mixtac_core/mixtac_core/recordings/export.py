@@ -26,7 +26,6 @@ from mixtac_core.recordings.recording import (
     RecordingInfo,
     Selection,
 )
-from mixtac_core.recordings.tables import TableOptions
 from mixtac_core.recordings.writers import CsvWriter, Hdf5Writer, NpzWriter, TableWriter
 
 Writer = Aedat4Writer | TableWriter
@@ -115,7 +114,6 @@ def export_recording(
     out: Path,
     progress: Callable[[float], None] = lambda _done: None,
     selection: Selection | None = None,
-    options: TableOptions | None = None,
 ) -> Counts:
     """Write a recording in another format, whole or not at all.
 
@@ -125,7 +123,6 @@ def export_recording(
         out: New folder.
         progress: Called with the fraction done, 0 to 1.
         selection: Which of its topics or streams; None for the only one of each kind.
-        options: Units of times and size of the camera, for files that do not state them.
 
     Raises:
         RecordingError: The recording cannot be read, the choice is ambiguous, or the format is
@@ -137,7 +134,7 @@ def export_recording(
             f'unknown format {kind!r}', remedy=f'choose one of {", ".join(WRITERS)}'
         )
     with (
-        contextlib.closing(open_recording(path, selection, options)) as recording,
+        contextlib.closing(open_recording(path, selection)) as recording,
         new_folder(out) as folder,
     ):
         info = recording.info

@@ -120,8 +120,10 @@ def not_a_recording(path: Path) -> RecordingError:
             f'{path} is no recording: a {what}',
             remedy='`mixtac inspect --formats` lists the formats that are read',
         )
-    remedy = known.remedy or f'name it {path.stem}{known.suffixes[0]}'
-    return RecordingError(f'{path} is {known.name}, not {path.suffix or "named so"}', remedy=remedy)
+    remedy = known.remedy or 'run `mixtac import` on it'
+    if not known.remedy and path.suffix.lower() not in known.suffixes:
+        remedy = f'name it {path.stem}{known.suffixes[0]}'
+    return RecordingError(f'{path} is no bag but {known.name}', remedy=remedy)
 
 
 LATEST_US = (1 << 31) * 1_000_000 - 1
@@ -180,7 +182,8 @@ class RecordingInfo:
         color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
         start_us: Time of the first event, or of the first piece of a recording without events [us,
             recorded camera clock].
-        length_us: Length [us], to within the time that data took to reach the recorder.
+        length_us: Length [us], to within the time that data took to reach the recorder; 0 where it
+            is not known before the recording is read.
         contents: What is read: kind of data and name of its topic or stream.
         size_known: False where the recording does not state the size of the camera.
         damage: What is missing because the file is incomplete, or a topic that cannot be read;

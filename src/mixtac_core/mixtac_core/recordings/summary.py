@@ -16,11 +16,10 @@ from mixtac_core.events.codec import StreamDecoder
 from mixtac_core.events.packets import CodecError, read_packet
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
-from mixtac_core.recordings.bag import BagFile
+from mixtac_core.recordings.bag import BagFile, is_storage
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, read_event_array
 from mixtac_core.recordings.recording import (
-    BAG_SUFFIXES,
     ROS1_SUFFIX,
     DamagedRecordingError,
     Recording,
@@ -54,6 +53,12 @@ class EventSummary:
     def duration_s(self) -> float:
         """From the first to the last event [s]."""
         return (self.span_us[1] - self.span_us[0]) / 1e6
+
+    def warnings(self) -> list[str]:
+        """Return what is doubtful, a line each."""
+        steps = 'steps back in time, by a reset of the clock or disorder'
+        texts = {steps: self.backward_steps, 'events outside of the sensor': self.outside}
+        return [f'{count} {text}' for text, count in texts.items() if count]
 
     def add(self, events: Events) -> None:
         """Count events."""
@@ -97,7 +102,7 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
     Raises:
         RecordingError: It is missing, or nothing of it can be read.
     """
-    if path.is_file() and path.suffix.lower() not in {*BAG_SUFFIXES, ROS1_SUFFIX}:
+    if path.is_file() and not is_storage(path) and path.suffix.lower() != ROS1_SUFFIX:
         with contextlib.closing(open_recording(path, options=options)) as recording:
             return _summarise_readings(recording)
     with BagFile(path) as bag:
@@ -124,6 +129,9 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
             # Chunks without checksums may hold zeros instead of messages.
             notes += [f'{missing} messages of its index are missing'] if missing > 0 else []
         found = {topic: each.figures for topic, each in decoders.items()}
+        warnings = [f'{t}: {n} images with the stamp zero' for t, n in images.items() if n]
+        for topic, each in found.items():
+            warnings += [f'{topic}: {text}' for text in each.warnings()]
         notes += [f'{topic}: {each.error}' for topic, each in found.items() if each.error]
         return Summary(
             bag.duration_ns / 1e9,
@@ -131,7 +139,7 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
             bag.types,
             {topic: each for topic, each in found.items() if not each.error},
             '; '.join(filter(None, (bag.damage, *notes))),
-            [f'{topic}: {n} images with the stamp zero' for topic, n in images.items() if n],
+            warnings,
         )
 
 
@@ -149,11 +157,11 @@ def _summarise_readings(recording: Recording) -> Summary:
     except DamagedRecordingError as error:
         damage = str(error)
     info, counters = recording.info, recording.counters
-    events.outside = counters.events_outside
+    warnings, events.outside = events.warnings() + counters.warnings(), counters.events_outside
     counts = {kind: size for kind, size in counts.items() if size}
     types = dict.fromkeys(counts, f'{info.kind} {info.camera}'.strip())
     found = {KINDS[0]: events} if events.events else {}
-    return Summary((last_us - first_us) / 1e6, counts, types, found, damage, counters.warnings())
+    return Summary((last_us - first_us) / 1e6, counts, types, found, damage, warnings)
 
 
 KINDS = ('events', 'frames', 'imu', 'edges')

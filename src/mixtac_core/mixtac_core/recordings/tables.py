@@ -417,9 +417,10 @@ def _npz_blocks(path: Path) -> Iterator[Block]:
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise RecordingError(f'{path} is no NPZ file of arrays: {reason(error)}') from error
     units = str(arrays.pop('units', ''))
-    whole = [each for each in arrays.values() if _is_table(each)]
-    columns = _split(path, whole[0]) if len(whole) == 1 else arrays
-    yield from _sliced(columns, path.stem == 'frames', units)
+    named = {COLUMNS.get(key.lower(), key.lower()) for key in arrays}
+    whole = [] if named.intersection(TIMES) else list(filter(_is_table, arrays.values()))
+    for columns in _split(path, whole[0]) if len(whole) == 1 else (arrays,):
+        yield from _sliced(columns, path.stem == 'frames', units)
 
 
 def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
@@ -427,23 +428,30 @@ def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
     return bool(array.dtype.names) or (array.ndim == 2 and array.shape[1] == 4)
 
 
-def _split(path: Path, array: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return the columns of an array with fields, or of one with four columns."""
-    if array.dtype.names:
-        return {name: array[name] for name in array.dtype.names}
-    rows = np.asarray(array[:])
-    begin = rows[:ROWS]
-    growing = [
-        order
-        for order in ORDERS
-        if (np.diff(begin[:, (at := order.index('t'))]) >= 0).all() and np.ptp(begin[:, at]) > 1e-3
-    ]
-    if len(growing) != 1:
+def _split(path: Path, array: Any) -> Iterator[Rows]:  # noqa: ANN401
+    """Yield the columns of an array with fields, or of one with four columns."""
+    order: tuple[str, ...] = array.dtype.names or ()
+    for start in range(0, len(array), ROWS):
+        rows = np.asarray(array[start : start + ROWS])
+        order = order or _order(path, rows)
+        parts = [rows[name] for name in order] if rows.dtype.names else rows.T
+        yield dict(zip(order, parts, strict=True))
+
+
+def _order(path: Path, rows: NDArray[Any]) -> tuple[str, ...]:
+    """Return the names of four columns by the only one that grows, which is the time.
+
+    Raises:
+        RecordingError: No column grows, or several do.
+    """
+    times = [rows[:, order.index('t')] for order in ORDERS]
+    grows = [(t[1:] >= t[:-1]).all() and len(np.unique(t)) > 2 for t in times]
+    if sum(grows) != 1:
         raise RecordingError(
-            f'{path}: of the four columns of an array, {len(growing)} grow as times do',
+            f'{path}: of the four columns of an array, {sum(grows)} grow as times do',
             remedy='save arrays named t, x, y, p, sorted by time',
         )
-    return dict(zip(growing[0], rows.T, strict=True))
+    return ORDERS[grows.index(True)]
 
 
 def _sliced(columns: Any, frames: bool, units: str) -> Iterator[Block]:  # noqa: ANN401
@@ -480,8 +488,10 @@ def _hdf5_tables(path: Path, group: str) -> Tables:
         table = groups[name]
         try:
             units = str(table.attrs.get('units', ''))
-            columns = table if hasattr(table, 'items') else _split(path, table)
-            for block in _sliced(columns, name == 'frames', units):
+            parts = (table,) if hasattr(table, 'items') else _split(path, table)
+            for block in (
+                each for part in parts for each in _sliced(part, name == 'frames', units)
+            ):
                 if name == 'events' and 't' in block.rows:
                     block.rows['t'] = _signed(block.rows['t']) + _signed(offset)
                 yield block

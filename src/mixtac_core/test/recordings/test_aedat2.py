@@ -22,7 +22,7 @@ EDGE = 9 << 22 | 9 << 12 | 1 << 10
 
 def write(path, events, chip='Davis346blue', width=346, others=()):
     """Write events, and after each event the words of others."""
-    lines = ['#!AER-DAT2.0', '# This is a raw AE data file', f'# AEChip: eu.seebetter.{chip}']
+    lines = ['#!AER-DAT2.0', '# AEFile of Jürgen\t', f'# AEChip: eu.seebetter.{chip}']
     x, y, on = (np.asarray(each, np.int64) for each in (events.x, events.y, events.polarity))
     address = y << 22 | (width - 1 - x) << 12 | on << 11
     columns = [address, *(np.full(len(address), each) for each in others)]

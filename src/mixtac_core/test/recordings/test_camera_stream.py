@@ -35,14 +35,6 @@ def test_events_come_out_as_they_went_in(tmp_path, encoding, plugin, compressed)
     assert_equal(found.events, events)
 
 
-@pytest.mark.parametrize(
-    ('plugin', 'name'), [(StoragePlugin.MCAP, 'bag.mcap'), (StoragePlugin.SQLITE3, 'bag.db3')]
-)
-def test_the_file_in_the_folder_plays_too(tmp_path, plugin, name):
-    events, _ = scene(tmp_path / 'bag', plugin=plugin)
-    assert_equal(read(tmp_path / 'bag' / name).events, events)
-
-
 def test_frames_and_samples_come_with_their_exact_times(tmp_path):
     events, frames = scene(tmp_path / 'bag')
     found = read(tmp_path / 'bag')
@@ -87,8 +79,9 @@ def test_frames_get_the_exposure_that_was_recorded_after_them(tmp_path, later_us
             bag.exposure(t_us, times, shutter, t_us + 3001 + later_us)
         bag.image(pixels, START_US + 199_000)
     found = read(tmp_path / 'bag')
-    known = later_us < 20_000
     for number, frame in enumerate(found.frames[:2]):
+        # A frame waits until the next one, at 80 and 194 ms.
+        known = later_us < 80_000 or number == 1
         t_us = START_US + 80_000 * number + 5000
         assert found.frame_times[number] == t_us
         assert frame.exposure_start_us == (t_us - 2000 if known else t_us)
@@ -104,15 +97,6 @@ def test_edges_come_with_their_times(tmp_path):
         bag.edge(START_US + 1234, 3)
         bag.edge(START_US + 5678, 2)
     assert read(tmp_path / 'bag').edges == [(START_US + 1234, 3), (START_US + 5678, 2)]
-
-
-def test_the_time_base_of_every_packet_is_kept(tmp_path):
-    events = some_events()
-    with Bag(tmp_path / 'bag') as bag:
-        bag.events(events)
-    times = read(tmp_path / 'bag').times
-    first = -(-START_US // 1000) * 1000
-    assert times[:-1] == list(range(first, first + 1000 * (len(times) - 1), 1000))
 
 
 def test_a_bag_of_frames_only_takes_its_size_from_camera_info(tmp_path):
@@ -263,17 +247,6 @@ def test_samples_and_frames_are_those_of_the_camera_of_the_events(tmp_path, own,
     found = read(tmp_path / 'bag', events=f'{own}/events')
     assert [int(frame.image.max()) for frame in found.frames] == [0]
     assert [acceleration.tolist() for _, acceleration, *_ in found.imu] == [[0, 0, 0]]
-
-
-@pytest.mark.parametrize('encoding', ['evt2', 'jpeg'])
-def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
-    with Bag(tmp_path / 'bag') as bag:
-        encoded = EncodedPacket(START_US * 1000, np.zeros(8, np.uint8), encoding)
-        bag.packet(None, START_US, encoding=encoding, encoded=encoded)
-    with pytest.raises(RecordingError) as error:
-        read(tmp_path / 'bag')
-    assert '/mixtac/events' in str(error.value)
-    assert str(tmp_path / 'bag') in str(error.value)
 
 
 def test_a_damaged_packet_ends_the_playing_with_its_topic(tmp_path):

@@ -251,23 +251,26 @@ def test_event_times_of_hdf5_may_be_fractions(tmp_path: Path, offset: np.generic
     assert np.array_equal(read(tmp_path / 'bag').events.t, expected)
 
 
-@pytest.mark.parametrize('kind', ['columns', 'array'])
+@pytest.mark.parametrize('kind', ['columns', 'array', 'unsigned array'])
 def test_a_group_of_hdf5_is_found_or_chosen(tmp_path: Path, kind: str):
     h5py = pytest.importorskip('h5py', reason='pip install h5py')
     with h5py.File(tmp_path / 'x.h5', 'x') as file:
-        if kind == 'array':
-            file['davis/left/events'] = np.stack([COLUMNS[name] for name in 'xytp'], axis=1)
+        if 'array' in kind:
+            kinds = np.uint64 if 'unsigned' in kind else np.float64
+            rows = np.stack([COLUMNS[name] for name in 'xytp'], axis=1)
+            file['davis/left/events'] = rows.astype(kinds)
         else:
             for name, column in COLUMNS.items():
                 file[f'davis/left/events/{name}s'] = column
-    import_recording(tmp_path / 'x.h5', tmp_path / 'one')
+    options = TableOptions(time_unit='us')
+    import_recording(tmp_path / 'x.h5', tmp_path / 'one', options=options)
     with h5py.File(tmp_path / 'x.h5', 'a') as file:
         file['davis/right/events'] = np.zeros((3, 4))
     with pytest.raises(RecordingError) as caught:
         import_recording(tmp_path / 'x.h5', tmp_path / 'bag')
     assert 'davis/left/events, davis/right/events' in caught.value.message
     selection = Selection(events='davis/left/events')
-    import_recording(tmp_path / 'x.h5', tmp_path / 'bag', selection=selection)
+    import_recording(tmp_path / 'x.h5', tmp_path / 'bag', selection=selection, options=options)
     for name in ('one', 'bag'):
         assert_equal(read(tmp_path / name).events, EVENTS)
 
@@ -338,11 +341,6 @@ def test_a_place_above_a_new_folder_is_refused(tmp_path: Path):
     with pytest.raises(FileError):
         import_recording(path, tmp_path / 'new' / '..')
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_nothing_can_be_chosen_of_arrays(tmp_path: Path):
-    with pytest.raises(RecordingError):
-        import_recording(events_npz(tmp_path), tmp_path / 'bag', selection=Selection(events='a'))
 
 
 def test_a_clock_that_was_reset_is_refused(tmp_path: Path):

@@ -194,6 +194,10 @@ def test_compressed_bags_are_read(tmp_path, plugin, mode):
     with writer:
         sent = fill(writer, 3)
     assert contents(tmp_path / 'bag') == (sent, '')
+    if mode is CompressionMode.FILE:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+        (path,) = (tmp_path / 'bag').iterdir()
+        assert contents(tmp_path / 'bag') == contents(path) == (sent, '')
 
 
 def test_the_files_of_a_split_bag_are_read_in_order_of_time(mcap, tmp_path):
@@ -209,7 +213,7 @@ def test_the_files_of_a_split_bag_are_read_in_order_of_time(mcap, tmp_path):
     assert contents(tmp_path)[0] == [*sent[:count], ('/force', 2 * 10**18, sent[1][2])]
 
 
-@pytest.mark.parametrize('seed', range(12))
+@pytest.mark.parametrize('seed', range(8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, mcap, sqlite, seed):
     rng = np.random.default_rng(seed)
     path = (mcap, sqlite)[seed % 2][0]
