@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.timeout(600)  # a busy machine may take its time
 EXAMPLES = Path(__file__).resolve().parents[1] / 'examples'
 
 
@@ -47,6 +48,7 @@ def bags(tmp_path_factory) -> Path:
         ('record_and_read', ('BAG',), '125 frames'),
         ('align_reference', ('BAG',), 'drift'),
         ('contact_and_shear', ('BAG',), 'mm'),
+        pytest.param('calibrate_with_weights', (), 'calibrated', marks=pytest.mark.slow),
         ('train_on_own_bags', ('BAGS',), 'wrote mine.safetensors'),
     ],
 )
