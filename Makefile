@@ -5,7 +5,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 export PYTHON
 
-.PHONY: demo test clients setup dev view lint docs clean
+.PHONY: demo test clients setup dev view lint docs site clean
 
 demo:  ## set up and run the live demo on the virtual sensor
 	./mixtac demo $(ARGS)
@@ -34,6 +34,10 @@ lint: dev  ## style, types, layers
 
 docs: dev  ## write config/*.yaml and the tables in docs/ from the code
 	. tools/env.sh && python tools/write_reference.py
+
+site:  ## the documentation as a site in build/site; warnings are errors
+	$(PYTHON) tools/setup.py --with site
+	. tools/env.sh && NO_MKDOCS_2_WARNING=1 mkdocs build --strict
 
 clean:  ## remove everything that set-up made
 	rm -rf .venv .venv-ros build install log

@@ -13,7 +13,7 @@ from pathlib import Path
 source = sys.argv[1] if len(sys.argv) > 1 else ''
 mixtac = [sys.executable, '-m', 'mixtac']
 if not source:
-    trial = ('--profile', 'weights', '--trials', '1', '--seconds', '25', '--out', 'weights')
+    trial = ('--profile', 'weights', '--trials', '1', '--seconds', '17', '--out', 'weights')
     subprocess.run([*mixtac, 'simulate', *trial], check=True)
     source = 'weights/trial_000'
 where = ('--bag', source) if Path(source).exists() else ('--device', source)

@@ -187,20 +187,3 @@ def test_files_of_the_repository_exist(text):
     for word in words_of(text)[1:]:
         if re.match(r'^(src|tools|docker|config|launch)/', word):
             assert (ROOT / word).exists(), word
-
-
-def test_links_between_the_pages_lead_somewhere():
-    for page in [*PAGES, ROOT / 'QUALITY_DECLARATION.md']:
-        for target in re.findall(r'\]\(([^)#:]+)(?:#[^)]*)?\)', page.read_text()):
-            assert (page.parent / target).exists(), f'{page.name} links to {target}'
-
-
-def test_anchors_of_links_are_headings():
-    for page in PAGES:
-        for target, anchor in re.findall(r'\]\(([^)#:]*)#([^)]+)\)', page.read_text()):
-            text = (page.parent / target if target else page).read_text()
-            slugs = {
-                re.sub(r'[^\w -]', '', each.lower()).replace(' ', '-')
-                for each in re.findall(r'^#+ (.*)$', text, re.MULTILINE)
-            }
-            assert anchor in slugs, f'{page.name} links to #{anchor}'

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.timeout(600)  # a busy machine may take its time
 EXAMPLES = Path(__file__).resolve().parents[1] / 'examples'
 
 
@@ -27,12 +30,14 @@ def run(folder: Path, *words: str) -> str:
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory) -> str:
-    """Return a simulated trial of five seconds with a tap at both ends."""
+def bags(tmp_path_factory) -> Path:
+    """Return a folder with two copies of a simulated trial of five seconds, tapped at both ends."""
     folder = tmp_path_factory.mktemp('trials')
     options = ('--profile', 'dynamic', '--trials', '1', '--seconds', '5', '--seed', '3')
-    run(folder, '-m', 'mixtac', 'simulate', *options, '--out', str(folder / 'bags'))
-    return str(folder / 'bags' / 'trial_000')
+    run(folder, '-m', 'mixtac', 'simulate', *options, '--out', 'made')
+    for name in ('a', 'b'):
+        shutil.copytree(folder / 'made' / 'trial_000', folder / 'bags' / name)
+    return folder / 'bags'
 
 
 @pytest.mark.parametrize(
@@ -43,8 +48,40 @@ def bag(tmp_path_factory) -> str:
         ('record_and_read', ('BAG',), '125 frames'),
         ('align_reference', ('BAG',), 'drift'),
         ('contact_and_shear', ('BAG',), 'mm'),
+        pytest.param('calibrate_with_weights', (), 'calibrated', marks=pytest.mark.slow),
+        ('train_on_own_bags', ('BAGS',), 'wrote mine.safetensors'),
     ],
 )
-def test_an_example_runs_on_a_recording(tmp_path, bag, name, options, printed):
-    words = [bag if each == 'BAG' else each for each in options]
+def test_an_example_runs_on_recordings(tmp_path, bags, name, options, printed):
+    if name.startswith('train'):
+        pytest.importorskip('torch', reason='needs the extra learn')
+    places = {'BAG': str(bags / 'a'), 'BAGS': str(bags)}
+    words = [places.get(each, each) for each in options]
     assert re.search(printed, run(tmp_path, str(EXAMPLES / f'{name}.py'), *words))
+
+
+@pytest.mark.dds
+def test_the_subscriber_prints_the_published_force(ros_domain):
+    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+    from geometry_msgs.msg import WrenchStamped
+
+    from mixtac_msgs.msg import ForceQuality
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
+    node = rclpy.create_node('sensor', context=context)
+    force = node.create_publisher(WrenchStamped, '/mixtac/force', 10)
+    quality = node.create_publisher(ForceQuality, '/mixtac/force_quality', 10)
+    wrench = WrenchStamped()
+    wrench.wrench.force.z = 0.75
+    command = [sys.executable, '-u', str(EXAMPLES / 'ros_subscriber.py'), '500']
+    example = subprocess.Popen(command, env=ros_domain, stdout=subprocess.PIPE, text=True)
+    try:
+        while example.poll() is None:
+            force.publish(wrench)
+            quality.publish(ForceQuality(valid=True))
+            time.sleep(0.002)
+        assert '0.750 N' in example.stdout.read()
+    finally:
+        example.kill()
+        rclpy.shutdown(context=context)

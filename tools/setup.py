@@ -30,7 +30,7 @@ from setup_steps import ROOT, SetupError, Steps, call, fingerprint, project_file
 
 BEGUN = 'installing'
 """Step in the record that stands there while packages are being installed."""
-EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4')
+EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4', 'site')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
@@ -361,8 +361,8 @@ def main() -> int:
         default=[],
         choices=EXTRAS,
         help='an optional part: learn is PyTorch for training and experiments, dev what tests and '
-        'checks need, view the live view in a browser, hdf5 '
-        'and aedat4 reading and writing of such files',
+        'checks need, view the live view in a browser, hdf5 and aedat4 reading and writing of such '
+        'files, site the documentation as a site',
     )
     parser.add_argument(
         '--robot', action='store_true', help='only the nodes: no command line, no simulator'
