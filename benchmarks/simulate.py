@@ -1,16 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How much faster than real time the virtual sensor runs, and where the time goes."""
+"""How much faster than real time the virtual sensor runs."""
 
 from __future__ import annotations
 
-import cProfile
-import pstats
 import statistics
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -18,77 +16,19 @@ from typing import Annotated, Any, Final
 import psutil
 import typer
 from rich.console import Console
-from rosbags.rosbag2 import Writer
 
 from mixtac.figures import make_table
 from mixtac.options import JsonFile, Preset
 from mixtac_core.node.files import write_json
 from mixtac_core.recordings.dataset import TrialSpec
-from mixtac_sim.bags.camera import CameraMessages
-from mixtac_sim.bags.trial_bag import TruthMessages, generate, write_trial
-from mixtac_sim.mechanics.contact import Contact
-from mixtac_sim.mechanics.elastomer import Shear
-from mixtac_sim.optics.beads import BeadMotion
-from mixtac_sim.optics.renderer import Renderer
-from mixtac_sim.pixels.aps import Aps
-from mixtac_sim.pixels.dvs import Dvs
-from mixtac_sim.pixels.noise import NoiseSource, Readout
+from mixtac_sim.bags.trial_bag import generate
 from mixtac_sim.usb import registers
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
 from mixtac_sim.world.plans import describe, plan_profile
-from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.trial import Stretch, TrialStream
-
-STAGES: Final[dict[str, tuple[Any, ...]]] = {
-    'mechanics': (
-        *(Profile.commands, Contact.advance, Shear.at),
-        *(BeadMotion.reach_px, BeadMotion.place),
-    ),
-    'rendering': (Renderer.draw,),
-    'event pixels': (Dvs.step,),
-    'event noise': (NoiseSource.block,),
-    'event readout': (Readout.read,),
-    'frames': (Aps.expose_before, Aps.expose_after, Aps.finish),
-    'reference sensor': (ReferenceSensor.process,),
-    'inertial unit': (InertialUnit.readings,),
-    'USB words': (VirtualDavis346.submit, VirtualDavis346.advance),
-    'USB reads': (VirtualDavis346.read_bulk,),
-    'camera messages': (CameraMessages.add,),
-    'truth messages': (TruthMessages.add,),
-    'bag': (Writer.write, Writer.close, Writer.add_connection),
-}
-"""Functions of each stage; none of them calls one of another stage."""
-
-
-def time_by_stage(call: Callable[[], object]) -> dict[str, float]:
-    """Run a function and return the share of its time in each stage; they add up to 1.
-
-    Args:
-        call: The function; the profiler makes it somewhat slower.
-    """
-    profiler = cProfile.Profile()
-    profiler.runcall(call)
-    return stage_shares(pstats.Stats(profiler))
-
-
-def stage_shares(stats: pstats.Stats) -> dict[str, float]:
-    """Return the share of each stage in the profiled time, largest first; the rest is `other`."""
-    table = stats.stats  # type: ignore[attr-defined]
-    total = float(stats.total_tt)  # type: ignore[attr-defined]
-    spent = dict.fromkeys(STAGES, 0.0)
-    for stage, functions in STAGES.items():
-        for function in functions:
-            code = function.__code__
-            key = (code.co_filename, code.co_firstlineno, code.co_name)
-            spent[stage] += table[key][3] if key in table else 0.0
-    shares = {stage: seconds / total for stage, seconds in spent.items() if seconds > 0.0}
-    shares['other'] = max(1.0 - sum(shares.values()), 0.0)
-    return dict(sorted(shares.items(), key=lambda item: -item[1]))
-
 
 TICK_US: Final = 1_000
 """The virtual sensor submits its data every millisecond [us]."""
@@ -181,7 +121,6 @@ ONLINE_RUNS: Final = 3
 BATCH_JOBS: Final = 2
 BATCH_TRIALS: Final = 4
 WARM_UP_S: Final = 3.0
-STAGE_S: Final = 8.0
 
 
 def simulate(
@@ -203,12 +142,6 @@ def simulate(
     ]
     title = f'{PROFILE}, {preset}, {seconds:g} s trials'
     console.print(make_table(title, ('what', 'times real time'), factors))
-    stages = figures['share_of_time']
-    rows = [
-        (name, *(f'{each[name]:.0%}' if name in each else '' for each in stages.values()))
-        for name in stages['online'] | stages['batch']
-    ]
-    console.print(make_table('where the time goes', ('stage', *stages), rows))
     write_json(json, figures)
 
 
@@ -221,7 +154,6 @@ def measure(seconds: float, preset: str) -> dict[str, Any]:
     """
     specs = plan_profile(PROFILE, BATCH_TRIALS, seconds, preset=preset)
     warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
-    staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
     Chain(warm[0]).run()
     online = [Chain(spec).run() for spec in specs[:ONLINE_RUNS]]
     with tempfile.TemporaryDirectory(prefix='mixtac-bench-') as name:
@@ -230,12 +162,8 @@ def measure(seconds: float, preset: str) -> dict[str, Any]:
         begin, busy = time.perf_counter(), processor_s()
         _batch(specs, folder / 'bags')
         wall_s, cpu_s = time.perf_counter() - begin, (processor_s() - busy) / BATCH_JOBS
-        stages = {
-            'online': time_by_stage(Chain(staged).run),
-            'batch': time_by_stage(lambda: write_trial(staged, folder / 'staged')),
-        }
     batch = ChainRun(seconds * BATCH_TRIALS, wall_s, cpu_s)
-    return summarise(online, batch) | {'share_of_time': stages}
+    return summarise(online, batch)
 
 
 def summarise(online: Sequence[ChainRun], batch: ChainRun) -> dict[str, Any]:

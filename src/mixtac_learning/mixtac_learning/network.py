@@ -278,14 +278,14 @@ class FgerNetwork(nn.Module):
         events = self.event(event_features)
         drive = self.gates_event(events)
         direct, of_state = self._direct(events)
-        looks = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
-        latest = slots.latest()[..., None].expand(-1, -1, looks.shape[-1])
-        seen = looks.gather(0, latest)
+        features = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
+        latest = slots.latest()[..., None].expand(-1, -1, features.shape[-1])
+        seen = features.gather(0, latest)
         if self.context is not None:
             direct = direct + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
-        arriving, drives, directs = (each.unbind(0) for each in (looks[1:], drive, direct))
+        arriving, drives, directs = (each.unbind(0) for each in (features[1:], drive, direct))
         hidden, cell, offset, confirmed = state.hidden, state.cell, state.offset, state.confirmed
         past = list(state.history.unbind(0))
         forces, states, moved = [], [], []
@@ -313,7 +313,7 @@ class FgerNetwork(nn.Module):
         return Course(*found, last)
 
     def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
-        """Split the hidden layer of MLP_df: the loop over windows is what takes the time.
+        """Split the hidden layer of MLP_df: the loop over windows costs most of the time.
 
         Returns:
             What events and bias contribute in each window, [T, B, mlp_size], and the weights of

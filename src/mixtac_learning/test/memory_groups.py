@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of trials in memory, in place of `mixtac_learning.train.batches.DiskGroups`."""
+"""Groups of trials in memory, in place of `mixtac_learning.train.frame_stage.DiskGroups`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mixtac_learning.train.batches import Sequences
+    from mixtac_learning.train.frame_stage import Sequences
 
 
 @dataclass

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from mixtac_learning.experiments.training import (
     error_rows,
     force_outcome,
     pooled,
+    profile_estimates,
     rate_hz,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
@@ -42,38 +42,24 @@ STABILITY_CONDITIONS = (
 Bins = list['NDArray[np.float64]']
 
 
-def rows_of(
-    found: Estimates,
-    *,
-    paper: Mapping[str, Mapping[str, float]],
-    place: str,
-    conditions: str,
-    more: Callable[[str, Sequence[Sequence[TrialEstimate]]], Row] | None = None,
-) -> list[Row]:
-    """Return MAE, RMSE and R2 of each model, and a further row.
-
-    Args:
-        found: Estimates.
-        paper: The paper's values by model.
-        place: Section, figure or table of the paper.
-        conditions: Which trials these are.
-        more: Returns the further row from a model and its estimates by seed; None for none.
-    """
-    rows: list[Row] = []
-    for model, by_seed in found.items():
-        name, known = MODELS[model].label, paper[model]
-        rows += error_rows(name, by_seed, known, place, conditions)
-        if more is not None:
-            rows.append(more(model, list(by_seed.values())))
-    return rows
-
-
 @experiment
 def stability(context: Context) -> Outcome:
     """Long holds: whether the error grows within 25 s."""
-    return force_outcome(
-        context, 'long_term', 'stability', _stability_rows, _draw_stability, 'whole trials'
-    )
+    found = profile_estimates(context, 'long_term')
+    rows = []
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        bins = [_pooled_bins(trials) for trials in by_seed.values()]
+        for k in range(max(len(each) for each in bins)):
+            paper = STABILITY_PAPER[k] if k < len(STABILITY_PAPER) else None
+            span = f'{BIN_S * k:g} to {BIN_S * (k + 1):g} s'
+            medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
+            title = f'{name}: median rolling MAE, {span}'
+            place = STABILITY_PLACE if paper is not None else ''
+            rows.append(Row(title, medians, paper, place, 'N', STABILITY_CONDITIONS))
+        rows += error_rows(name, by_seed, {}, '', 'whole trials')[:1]
+    path = _draw_stability(context.figure('stability'), found)
+    return force_outcome(context, 'long_term', 'stability', found, rows, path)
 
 
 ROLLING_S = 0.5
@@ -109,22 +95,6 @@ def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
         np.concatenate([bins[k] for bins in cut if k < len(bins)])
         for k in range(max(len(bins) for bins in cut))
     ]
-
-
-def _stability_rows(found: Estimates) -> list[Row]:
-    rows = []
-    for model, by_seed in found.items():
-        name = MODELS[model].label
-        bins = [_pooled_bins(trials) for trials in by_seed.values()]
-        for k in range(max(len(each) for each in bins)):
-            paper = STABILITY_PAPER[k] if k < len(STABILITY_PAPER) else None
-            span = f'{BIN_S * k:g} to {BIN_S * (k + 1):g} s'
-            medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
-            title = f'{name}: median rolling MAE, {span}'
-            place = STABILITY_PLACE if paper is not None else ''
-            rows.append(Row(title, medians, paper, place, 'N', STABILITY_CONDITIONS))
-        rows += error_rows(name, by_seed, {}, '', 'whole trials')[:1]
-    return rows
 
 
 def _draw_stability(path: Path, found: Estimates) -> Path:
@@ -174,17 +144,15 @@ SHOWN_S = 5.0
 @experiment
 def inputs(context: Context) -> Outcome:
     """Frames, events, or both, on dynamic forces."""
-
-    def rate(model: str, by_seed: Sequence[Sequence[TrialEstimate]]) -> Row:
-        name, text = f'{MODELS[model].label}: rate', 'distinct forces per second'
-        found = Value.of(rate_hz(trials) for trials in by_seed)
-        return Row(name, found, INPUTS_PAPER_HZ[model], INPUTS_PLACE, 'Hz', text)
-
-    conditions = 'dynamic trials'
-    rows = partial(
-        rows_of, paper=INPUTS_PAPER, place=INPUTS_PLACE, conditions=conditions, more=rate
-    )
-    return force_outcome(context, 'dynamic', 'inputs', rows, _draw_inputs, conditions)
+    found = profile_estimates(context, 'dynamic')
+    rows, text = [], 'distinct forces per second'
+    for model, by_seed in found.items():
+        name, paper_hz = MODELS[model].label, INPUTS_PAPER_HZ[model]
+        rows += error_rows(name, by_seed, INPUTS_PAPER[model], INPUTS_PLACE, 'dynamic trials')
+        rate = Value.of(rate_hz(trials) for trials in by_seed.values())
+        rows.append(Row(f'{name}: rate', rate, paper_hz, INPUTS_PLACE, 'Hz', text))
+    path = _draw_inputs(context.figure('inputs'), found)
+    return force_outcome(context, 'dynamic', 'inputs', found, rows, path)
 
 
 def _draw_inputs(path: Path, found: Estimates) -> Path:
@@ -217,9 +185,13 @@ FUSION_PLACE = 'section IV-D, Fig. 6'
 @experiment
 def fusion(context: Context) -> Outcome:
     """FGER-Net against feature-level fusion, on static forces."""
-    conditions = 'static trials'
-    rows = partial(rows_of, paper=FUSION_PAPER, place=FUSION_PLACE, conditions=conditions)
-    return force_outcome(context, 'static', 'fusion', rows, _draw_fusion, conditions)
+    found = profile_estimates(context, 'static')
+    rows = []
+    for model, by_seed in found.items():
+        paper = FUSION_PAPER[model]
+        rows += error_rows(MODELS[model].label, by_seed, paper, FUSION_PLACE, 'static trials')
+    path = _draw_fusion(context.figure('fusion'), found)
+    return force_outcome(context, 'static', 'fusion', found, rows, path)
 
 
 def _draw_fusion(path: Path, found: Estimates) -> Path:
@@ -241,7 +213,7 @@ def _draw_fusion(path: Path, found: Estimates) -> Path:
     return save_figure(figure, path)
 
 
-IMPACT_PAPER = {model: {'mae': 0.05, 'rmse': 0.07} for model in (OURS, 'fger')}
+IMPACT_PAPER = {'mae': 0.05, 'rmse': 0.07}
 """Errors [N]."""
 IMPACT_PLACE = 'section IV-E, Fig. 7'
 CLOSE_S = (-0.02, 0.3)
@@ -252,20 +224,18 @@ WHOLE_S = (-0.3, 1.5)
 @experiment
 def impact(context: Context) -> Outcome:
     """20 g from 5 cm: impact, bounces and hold."""
-
-    def peak(model: str, by_seed: Sequence[Sequence[TrialEstimate]]) -> Row:
-        errors = Value.of(
+    found = profile_estimates(context, 'impact')
+    rows, text = [], 'largest force, estimate within 10 ms of it; share of it'
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        rows += error_rows(name, by_seed, IMPACT_PAPER, IMPACT_PLACE, 'whole trials')
+        peaks = Value.of(
             float(np.mean([peak_error(e.known, e.force, e.interval_s) for e in trials]))
-            for trials in by_seed
+            for trials in by_seed.values()
         )
-        text = 'largest force, estimate within 10 ms of it; share of it'
-        return Row(f'{MODELS[model].label}: error of the peak', errors, None, '', '', text)
-
-    conditions = 'whole trials'
-    rows = partial(
-        rows_of, paper=IMPACT_PAPER, place=IMPACT_PLACE, conditions=conditions, more=peak
-    )
-    return force_outcome(context, 'impact', 'impact', rows, _draw_impact, conditions)
+        rows.append(Row(f'{name}: error of the peak', peaks, None, '', '', text))
+    path = _draw_impact(context.figure('impact'), found)
+    return force_outcome(context, 'impact', 'impact', found, rows, path)
 
 
 def _draw_impact(path: Path, found: Estimates) -> Path:

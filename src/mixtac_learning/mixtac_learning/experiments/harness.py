@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an experiment becomes a command, stores its results, and reports them.
 
-An experiment is a function that takes a `Context` and returns an `Outcome`: rows that set our
+An experiment is a function from a `Context` to an `Outcome`: rows that set our
 values beside the values of the paper, figures, and a list of differences from the paper. Long
 computations are cut into pieces whose results are stored in a folder, so that an interrupted run
 continues where it stopped.

@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_core.node.files import write_json, write_text
+from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import read_model
 from mixtac_learning.commands import JsonFile
@@ -102,6 +102,10 @@ def aggregate(found: Estimates, cost: Mapping[str, list[float]]) -> dict[str, An
     return table
 
 
+KINDS = {'dynamic': 'dynamic', 'static': 'static', 'long_term': 'hold', 'impact': 'impact'}
+"""Names of the force profiles in the rows."""
+
+
 def rows_of(table: Mapping[str, Any], protocol: str, size: str) -> list[dict[str, Any]]:
     """Return a row per model: its MAE by kind of trial.
 
@@ -115,12 +119,11 @@ def rows_of(table: Mapping[str, Any], protocol: str, size: str) -> list[dict[str
         `hold` and `impact`, each with `mae`, its standard deviation `sd` over the seeds (None of
         one seed) and `seeds`.
     """
-    names = {'dynamic': 'dynamic', 'static': 'static', 'long_term': 'hold', 'impact': 'impact'}
     rows = []
     for model, columns in table.items():
         row: dict[str, Any] = {'model': model, 'protocol': protocol, 'size': size}
         row[COST] = columns[TRAINING][COST]['mean']
-        for profile, name in names.items():
+        for profile, name in KINDS.items():
             found = columns.get(profile, {}).get('mae')
             if found is not None:
                 sd = found['spread'] if found['seeds'] > 1 else None
@@ -129,19 +132,11 @@ def rows_of(table: Mapping[str, Any], protocol: str, size: str) -> list[dict[str
     return rows
 
 
-def lines_of(table: Mapping[str, Any]) -> list[list[str]]:
-    """Return the MAE as text: headings with the columns, then a line per model."""
-    columns = dict.fromkeys(c for row in table.values() for c in row if c != TRAINING)
-    headings = ['model', *(column.replace('_', ' ') for column in columns)]
-    cells = [[_cell(row.get(c, {}).get('mae')) for c in columns] for row in table.values()]
-    return [headings, *([model, *row] for model, row in zip(table, cells, strict=True))]
-
-
-def _cell(value: dict[str, float] | None) -> str:
+def cell(value: dict[str, Any] | None) -> str:
+    """Return an error of a row as text, `-` for none."""
     if value is None:
         return '-'
-    spread = f' +-{value["spread"]:.3f}' if value['seeds'] > 1 else ''
-    return f'{value["mean"]:.3f}{spread}'
+    return f'{value["mae"]:.3f}' + ('' if value['sd'] is None else f' +-{value["sd"]:.3f}')
 
 
 def models(
@@ -183,13 +178,11 @@ def models(
         tables = {each: train_and_test(context, chosen, each) for each in protocols}
     rows: list[dict[str, Any]] = []
     for each, table in tables.items():
-        lines = lines_of(table)
+        found = rows_of(table, each, size)
+        lines = [(row['model'], *(cell(row.get(kind)) for kind in KINDS.values())) for row in found]
         title = f'MAE [N], {each}, simulated, {PRESET}, {size}, {seeds} seeds'
-        console.print(make_table(title, lines[0], lines[1:]))
-        marks = ['---', *['---:'] * (len(lines[0]) - 1)]
-        text = [f'| {" | ".join(line)} |' for line in (lines[0], marks, *lines[1:])]
-        write_text(out / f'table_{size}_{each}.md', '\n'.join([*text, '']))
-        rows += rows_of(table, each, size)
+        console.print(make_table(title, ('model', *KINDS.values()), lines))
+        rows += found
     result = {'size': size, 'seeds': seeds, 'simulated': True, 'rows': rows, 'tables': tables}
     write_json(json, result | {'table': tables.get('other_days', {})})
 

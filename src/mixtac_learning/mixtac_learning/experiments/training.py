@@ -9,7 +9,7 @@ share them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -237,13 +237,12 @@ def load_estimate(path: Path) -> TrialEstimate:
     return TrialEstimate(**{'reference': None, **values, **words})
 
 
+CONDITIONS = {'dynamic': 'dynamic trials', 'static': 'static trials'}
+"""Which trials an error is of; those of other profiles count as a whole."""
+
+
 def force_outcome(
-    context: Context,
-    profile: str,
-    name: str,
-    rows: Callable[[Estimates], list[Row]],
-    draw: Callable[[Path, Estimates], Path],
-    conditions: str,
+    context: Context, profile: str, name: str, found: Estimates, rows: list[Row], figure: Path
 ) -> Outcome:
     """Return the outcome of an experiment that compares models on one profile.
 
@@ -251,23 +250,19 @@ def force_outcome(
         context: The run.
         profile: One of `JUDGED`.
         name: Name of the experiment.
-        rows: Returns the rows of the experiment from the estimates.
-        draw: Writes the figure to a path, from the estimates.
-        conditions: Which trials these are, for the row of the best constant.
-
-    Raises:
-        MixtacError: Trials cannot be used.
+        found: Estimates of the models.
+        rows: Rows of the experiment; one of the best constant is added.
+        figure: Picture of the estimates.
     """
-    found = profile_estimates(context, profile)
     text = texts(name)
     text['deviations'] = (*deviations(context.sizes), *text['deviations'])
-    path = draw(context.figure(name), found)
     constant = Value.of(pooled(each).constant_mae for each in found[OURS].values())
-    last = Row('best constant: MAE', constant, None, '', 'N', conditions)
+    trials = CONDITIONS.get(profile, 'whole trials')
+    last = Row('best constant: MAE', constant, None, '', 'N', trials)
     return Outcome(
         data=describe(context.sizes, profile),
-        rows=[*rows(found), last],
-        figures={text.pop('caption'): path},
+        rows=[*rows, last],
+        figures={text.pop('caption'): figure},
         **text,
     )
 

@@ -4,8 +4,8 @@
 
 Three signals are examined in bins of equal length: the number of events, ON minus OFF events, and
 flow, which is the polarity times the gradient of the logarithm of an earlier frame. Flow is
-summed in square cells, and the first principal component of these sums is taken, so the position
-of the contact need not be known.
+summed in square cells, and the signal is the first principal component of these sums, so the
+position of the contact need not be known.
 
 Two kinds of contact are compared. `pressed`: the vibrating body stays 0.6 mm deep in the skin; it
 causes as many events on the way in as on the way out, so the event count repeats twice per

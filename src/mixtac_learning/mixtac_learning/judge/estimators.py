@@ -94,7 +94,7 @@ class TrialEstimate:
         share = 1.0 / SLOPE_WINDOWS
         change = np.diff(self.force, prepend=self.force[:1])
         slope = np.abs(lfilter([share], [1.0, share - 1.0], change))
-        # What calibration does not take away is in `deviation` with the factor already.
+        # The part that calibration does not remove is in `deviation` with the factor already.
         stays = math.sqrt(1.0 - CALIBRATED_DEVIATION**2) * np.hypot(
             REST_DEVIATION, TIMING_WINDOWS * np.minimum(slope, STEEPEST_N)
         )

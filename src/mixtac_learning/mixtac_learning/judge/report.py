@@ -90,9 +90,9 @@ def summarise(
     if not np.isnan(peaks).all():
         figures['peak_error'] = float(np.nanmean(peaks))
     pairs = [(e.across, e.known_across) for e in estimates if e.across is not None]
-    told = [(a, k) for a, k in pairs if k is not None]
-    if told:
-        figures |= across_errors(_joined(a for a, _ in told), _joined(k for _, k in told))
+    both = [(a, k) for a, k in pairs if k is not None]
+    if both:
+        figures |= across_errors(_joined(a for a, _ in both), _joined(k for _, k in both))
     for name, errors in (
         ('reference_mae', [e.force - e.reference for e in estimates if e.reference is not None]),
         (

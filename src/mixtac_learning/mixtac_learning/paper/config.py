@@ -13,11 +13,11 @@ from mixtac_fger.config import ConfigError, from_mapping, to_mapping
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
 CORRECTIONS = ('continuous', 'periodic', 'spread')
-"""What is given out: every window corrected by the latest frame, or only where one arrives, or each
-correction in equal parts over the cycle after it."""
+"""Which estimates are published: every window corrected by the latest frame, or only where one
+arrives, or each correction in equal parts over the cycle after it."""
 LIGHTS = ('intensity', 'relative', 'reference', 'reference_flow')
 """What the frame network sees: intensities; their logarithm less its mean over the frame, which
-takes out lamp and exposure; that less the same of the trial's first frames, without contact; or
+removes lamp and exposure; that less the same of the trial's first frames, without contact; or
 this and, as two more channels, the displacement of the beads since those frames."""
 NORMS = ('group', 'batch')
 """Normalisation of the frame network: by each frame's own statistics, or by those of training."""

@@ -45,7 +45,7 @@ class PaperEstimator(Estimator):
     """One of the paper's networks with its state.
 
     There is no no-contact reference that could be renewed: a network that reads frames against one
-    takes the first `SETTLE_FRAMES` that it is given. The frames-only force of FGER-Net is its
+    uses the first `SETTLE_FRAMES` of its stream. The frames-only force of FGER-Net is its
     correction of no force; that of the network without frames is 0.
 
     Args:

@@ -208,7 +208,7 @@ def make_paper_sample(config: PaperConfig, trial: TrialArrays) -> PaperSample:
 def frame_input(
     frames: NDArray[np.float16], still: NDArray[np.float16], config: PaperConfig
 ) -> NDArray[np.float32]:
-    """Return frames as `FrameBackbone` takes them, [n, channels, rows, columns].
+    """Return frames as the input of `FrameBackbone`, [n, channels, rows, columns].
 
     Args:
         frames: Intensities of 0 to 1, float16 [n, rows, columns].
@@ -345,7 +345,7 @@ class FrameBatch(NamedTuple):
     Attributes:
         frames: [N, channels, rows, columns], as in `SegmentBatch`.
         event_frames: [N, 2, rows, columns], as in `SegmentBatch`.
-        force: What each is to tell [N], [N].
+        force: Force that each shows [N], [N].
     """
 
     frames: torch.Tensor

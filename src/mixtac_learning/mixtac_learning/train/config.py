@@ -57,7 +57,8 @@ class TrainingSettings:
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
             `NetworkWithGains`.
         moments_prior: Weight in the loss of the mean square of what the convolutions add to the
-            forces of moments [1/N]; a sensor's gain would otherwise take up what its indenter does.
+            forces of moments [1/N]; a sensor's gain would otherwise absorb the effect of its
+            indenter.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.
@@ -114,8 +115,7 @@ class SimulatedData:
         profiles: Force profiles, in turn; empty for those of `mixtac_sim.world.plans`.
         seed: Another seed gives other sensors and days.
         session: Trials of one session of one sensor instead of those above: number and length [s]
-            by profile, of which `mixtac_sim.world.plans.session_plan` keeps a fifth for
-            testing.
+            by profile; `mixtac_sim.world.plans.session_plan` keeps a fifth for testing.
     """
 
     presets: tuple[str, ...] = (TRAINING_PRESET,)

@@ -3,39 +3,202 @@
 """The first stage of training FGER-Net: the frame network and the gains of the sensors.
 
 It begins with the forces of the moments alone, and what the convolutions add is kept small. The
-losses of forces are those of the later stages too.
+losses of forces are those of the later stages too, and so are the sequences: trials side by side,
+in groups from disk, mirrored at random.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig
-from mixtac_learning.network import FgerNetwork
-from mixtac_learning.train.batches import (
-    DiskGroups,
-    Sequences,
-    mirror_across,
-    mirror_frames,
-    mirror_moments,
-)
+from mixtac_learning.network import FgerNetwork, FrameSlots
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Processes, Stage
+from mixtac_learning.trials.samples import Sample, load_sample, sample_origin, sample_windows
+from mixtac_learning.trials.trial import DatasetError, sensor_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequences:
+    """B trials side by side, padded at their ends to T windows.
+
+    Attributes:
+        event_features: float16 [T, B, grid rows, grid columns, 4].
+        force: Labels [N], float32 [T, B].
+        across: Sideways force x, y [N] and torsion [N mm], nan where unknown, float32 [T, B, 3].
+        valid: False in the padding, bool [T, B].
+        slots: Frames by index into `frame_inputs`.
+        frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9 or 0].
+        frame_force: Mean label per exposure [N], float32 [N].
+        frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
+        frame_trial: Which trial each frame belongs to, int64 [N].
+        device: Which sensor each trial was made with, counted from 0, int64 [B].
+    """
+
+    event_features: Tensor
+    force: Tensor
+    across: Tensor
+    valid: Tensor
+    slots: FrameSlots
+    frame_inputs: Tensor
+    frame_moments: Tensor
+    frame_force: Tensor
+    frame_across: Tensor
+    frame_trial: Tensor
+    device: Tensor
+
+    def to(self, target: torch.device) -> Sequences:
+        """Return the sequences with everything that is computed with on a device."""
+        if target.type == 'cpu':
+            return self
+        moved = {name: getattr(self, name).to(target) for name in self.__slots__ if name != 'slots'}
+        return Sequences(**moved, slots=FrameSlots(*(part.to(target) for part in self.slots)))
+
+
+def stack(
+    samples: Sequence[Sample],
+    devices: Sequence[int] | None = None,
+    length: int | None = None,
+) -> Sequences:
+    """Put trials side by side.
+
+    Args:
+        samples: Trials.
+        devices: Number of the sensor of each; None if each is of another.
+        length: Windows to pad to; None for those of the longest.
+    """
+    if length is None:
+        length = max(len(sample.force) for sample in samples)
+    counts = [len(sample.frame_force) for sample in samples]
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+
+    def padded(name: str, fill: int = 0) -> Tensor:
+        arrays = [getattr(sample, name) for sample in samples]
+        out = np.full((length, len(arrays), *arrays[0].shape[1:]), fill, arrays[0].dtype)
+        for column, array in enumerate(arrays):
+            out[: len(array), column] = array
+        return torch.from_numpy(out)
+
+    index = padded('slots', -1)
+    shifted = torch.where(index >= 0, index + torch.from_numpy(starts), -1)
+    lengths = torch.tensor([len(sample.force) for sample in samples])
+    joined = ('frame_inputs', 'frame_moments', 'frame_force', 'frame_across')
+    return Sequences(
+        **{name: padded(name) for name in ('event_features', 'force', 'across')},
+        **{
+            name: torch.from_numpy(np.concatenate([getattr(sample, name) for sample in samples]))
+            for name in joined
+        },
+        valid=torch.arange(length)[:, None] < lengths[None],
+        slots=FrameSlots(shifted, padded('lags')),
+        frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
+        device=torch.tensor(list(range(len(samples)) if devices is None else devices)),
+    )
+
+
+def mirror_frames(frames: Tensor, config: FgerConfig, columns: bool, rows: bool) -> Tensor:
+    """Return network inputs [..., channels, rows, columns] as a mirrored sensor would give them."""
+    axes = [axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted]
+    turned = {'flow_x': columns, 'flow_y': rows}
+    signs = [-1.0 if turned.get(name, False) else 1.0 for name in config.frame_channels]
+    sign = torch.tensor(signs, dtype=frames.dtype, device=frames.device)
+    return frames.flip(axes) * sign[:, None, None]
+
+
+def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return grid features [..., rows, columns, 4] as a mirrored sensor would give them."""
+    axes = [axis for axis, wanted in ((-3, rows), (-2, columns)) if wanted]
+    signs = [-1.0 if columns else 1.0, -1.0 if rows else 1.0, 1.0, 1.0]
+    return features.flip(axes) * torch.tensor(signs, dtype=features.dtype, device=features.device)
+
+
+def mirror_moments(moments: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return moments of frames [..., 9] as a mirrored sensor would give them."""
+    right, up = (-1.0 if each else 1.0 for each in (columns, rows))
+    turned = [right * up] * (moments.shape[-1] - 5)
+    return moments * moments.new_tensor([1.0, right, up, right, up, *turned][: moments.shape[-1]])
+
+
+def mirror_across(values: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return sideways force and torsion [..., 3] of a mirrored sensor."""
+    signs = [-1.0 if each else 1.0 for each in (columns, rows, columns != rows)]
+    return values * torch.tensor(signs, dtype=values.dtype, device=values.device)
+
+
+class DiskGroups:
+    """Groups of sample files; one is in memory at a time.
+
+    Args:
+        paths: Sample files.
+        config: Network configuration.
+        group_size: Trials per group.
+        own: Which of the files this process reads; None for all. Groups of all processes are
+            equally long, so that they make the same number of updates.
+
+    Attributes:
+        devices: Number of different sensors over all groups and processes.
+    """
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        config: FgerConfig,
+        group_size: int,
+        own: Sequence[int] | None = None,
+    ) -> None:
+        chosen = list(range(len(paths)) if own is None else own)
+        if not chosen:
+            raise DatasetError(
+                f'{len(paths)} trials are too few to share: start fewer processes, or give more'
+            )
+        origins = [sample_origin(path) for path in paths]
+        keys = [sensor_of(each, f'trial {index}') for index, each in enumerate(origins)]
+        order = {key: number for number, key in enumerate(sorted(set(keys)))}
+        self._numbers = [order[key] for key in keys]
+        self.devices = len(order)
+        self._length = max(sample_windows(path) for path in paths)
+        self._paths, self._config = list(paths), config
+        self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]
+        self._kept: tuple[int, Sequences] | None = None
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return len(self._groups)
+
+    def load(self, index: int) -> Sequences:
+        """Return a group, from memory where it was the last.
+
+        Raises:
+            DatasetError: A file was removed or damaged meanwhile.
+        """
+        if self._kept is None or self._kept[0] != index:
+            self._kept = None
+            members = self._groups[index]
+            samples = [load_sample(self._paths[i], self._config) for i in members]
+            numbers = [self._numbers[i] for i in members]
+            self._kept = index, stack(samples, numbers, self._length)
+        return self._kept[1]
+
 
 Flip = tuple[bool, bool]
+"""Whether columns and rows are mirrored."""
 
 
 _ENCODE_BATCH = 512
 ACROSS_UNITS = (1.0, 1.0, 10.0)
 """What counts as much as a newton in the loss: sideways force [N], torsion [N mm].
 
-Most of the time there is no torsion: were the knee of the loss below its usual size, no torsion
-would ever be told.
+Most of the time there is no torsion. With a smaller knee of the loss the network would estimate no
+torsion at all.
 """
 
 
@@ -90,10 +253,10 @@ class NetworkWithGains(nn.Module):
         sideways = self.log_gains[sequences.device[sequences.frame_trial[rows]], 1].exp()
         across = sideways[:, None] * self.network.shear.shown(seen)
         known = mirror_across(sequences.frame_across[rows], *flip)
-        units, told = across.new_tensor(ACROSS_UNITS), torch.isfinite(known)
-        label = torch.where(told, known, across.detach())
+        units, labelled = across.new_tensor(ACROSS_UNITS), torch.isfinite(known)
+        label = torch.where(labelled, known, across.detach())
         errors = smooth_l1_loss(across / units, label / units, beta=knee, reduction='none')
-        return torch.Tensor((errors * told).sum() / told.sum().clamp(min=1.0))
+        return torch.Tensor((errors * labelled).sum() / labelled.sum().clamp(min=1.0))
 
     def fit_scales(self, sequences: Sequences) -> None:
         """Set the input scales to the spread of the data; signed inputs keep their zero."""
@@ -114,7 +277,7 @@ class NetworkWithGains(nn.Module):
             network.frame.spread.copy_(square.sqrt().clamp(min=1e-3))
 
 
-def looks(
+def frame_features(
     network: FgerNetwork,
     sequences: Sequences,
     rows: Tensor | slice = slice(None),
@@ -135,10 +298,10 @@ def looks(
 
 @torch.no_grad()
 def encode(network: FgerNetwork, sequences: Sequences, flip: Flip = (False, False)) -> Tensor:
-    """Return `looks` of all frames, without gradients."""
+    """Return `frame_features` of all frames, without gradients."""
     starts = range(0, len(sequences.frame_inputs), _ENCODE_BATCH)
     parts = [slice(start, start + _ENCODE_BATCH) for start in starts]
-    return torch.cat([looks(network, sequences, part, flip) for part in parts])
+    return torch.cat([frame_features(network, sequences, part, flip) for part in parts])
 
 
 def mean_error(
@@ -218,7 +381,7 @@ class FrameStage(FgerStage):
             rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
             for chosen in rows:
                 flips, network = draw_flips(self.settings, random), self.model.network
-                seen = looks(network, sequences, chosen, flips)
+                seen = frame_features(network, sequences, chosen, flips)
                 force = network.frame.force(seen)
                 normal = self.model.log_gains[device[chosen], 0].exp()
                 knee = self.settings.loss_knee_n
@@ -252,7 +415,7 @@ def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Proces
     Args:
         network: `NetworkWithGains.fit_scales` has been called.
         sequences: Trials to fit the constants to.
-        processes: Processes that take the mean of theirs.
+        processes: Processes that share the mean of their constants.
     """
     moments = (sequences.frame_moments / network.frame.spread.cpu()).double()
     first = network.config.frame_size
@@ -260,9 +423,9 @@ def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Proces
     if network.config.shear:
         heads += [(network.shear.frame, [[1, 3], [2, 4]], sequences.frame_across[:, :2])]
     for head, columns, known in heads:
-        told = torch.isfinite(known).all(1)
-        inputs = torch.cat([moments[told][:, each] for each in columns])
-        found = torch.linalg.lstsq(inputs, known[told].T.reshape(-1, 1).double()).solution[:, 0]
+        labelled = torch.isfinite(known).all(1)
+        inputs = torch.cat([moments[labelled][:, each] for each in columns])
+        found = torch.linalg.lstsq(inputs, known[labelled].T.reshape(-1, 1).double()).solution[:, 0]
         found = processes.mean(found)
         head.weight.zero_()
         head.bias.zero_()

@@ -23,16 +23,15 @@ from torch.nn.functional import smooth_l1_loss
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.layers import SAME, Scale
 from mixtac_learning.paper.networks import (
     CYCLE_US,
-    SAME,
     EventsOnly,
     FeatureFusion,
     FgerPaper,
     FrameModel,
     PaperNetwork,
     PaperState,
-    Scale,
     build,
 )
 from mixtac_learning.paper.samples import (

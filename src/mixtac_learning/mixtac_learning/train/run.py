@@ -31,8 +31,8 @@ from mixtac_learning.network import model_of, network_of, usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
-from mixtac_learning.train.batches import DiskGroups
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
+from mixtac_learning.train.frame_stage import DiskGroups
 from mixtac_learning.train.loop import Processes, Report, TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.stages import train_fger
@@ -368,7 +368,8 @@ def _judge_and_write(
     except MixtacError as error:
         console.print(f'not judged: {error}', style='yellow', highlight=False)
     for title, figures in metrics.items():
-        show_figures(console, title.replace('_', ' '), figures)
+        where = ', trials held back' if config.start else ''
+        show_figures(console, title.replace('_', ' ') + where, figures)
     training = trained.model.card.training
     save_model(Path(config.out), replace(trained.model, card=ModelCard(training, metrics)))
     console.print(f'wrote {config.out}')

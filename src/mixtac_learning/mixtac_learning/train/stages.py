@@ -12,10 +12,10 @@ unknown stiffness belongs to the uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -32,23 +32,21 @@ from mixtac_learning.network import (
     SequenceState,
     arrays_of,
 )
-from mixtac_learning.train.batches import (
-    DiskGroups,
-    Sequences,
-    mirror_events,
-)
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import (
+    DiskGroups,
     FgerStage,
     Flip,
     FrameStage,
     NetworkWithGains,
+    Sequences,
     draw_flips,
     encode,
     force_loss,
+    frame_features,
     frame_parameters,
-    looks,
     mean_error,
+    mirror_events,
     shuffled,
 )
 from mixtac_learning.train.loop import Processes, TrainingError, TrainingLoop
@@ -66,7 +64,7 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
 
 
 def _run(network: FgerNetwork, sequences: Sequences) -> tuple[Course, Tensor]:
-    """Return the course of all sequences from their start, and `looks` of all frames."""
+    """Return the course of all sequences from their start, and `frame_features` of all frames."""
     frames = encode(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
     events = sequences.event_features.float()
@@ -240,7 +238,7 @@ class SequenceStage(FgerStage):
         frames, aside = frozen, sequences.force.new_zeros(())
         if frames is None:
             used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
-            frames = looks(self.model.network, sequences, used, flip)
+            frames = frame_features(self.model.network, sequences, used, flip)
             slots = FrameSlots(torch.where(slots.frame >= 0, index, -1), slots.lag)
             aside = self.model.across_loss(sequences, used, frames, flip, self.settings.loss_knee_n)
         events = mirror_events(sequences.event_features[windows].float(), *flip)
@@ -290,8 +288,7 @@ _WINDOWS = 100_000
 _BATCH = 1024
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
+class Errors(NamedTuple):
     """Windows of finished estimates.
 
     Attributes:
@@ -314,19 +311,8 @@ class Errors:
         return Errors(hidden, force, moved, self.error[rows], self.trials)
 
     def log_deviation(self, head: DeviationHead) -> Tensor:
-        """Return what an uncertainty head says, before its scale [log N], [N]."""
+        """Return the output of an uncertainty head before its scale [log N], [N]."""
         return head.log_deviation(self.hidden, self.force, self.moved)
-
-
-def joined(parts: Sequence[Errors]) -> Errors:
-    """Return the windows of all parts, which are from different trials."""
-    return Errors(
-        torch.cat([part.hidden for part in parts]),
-        torch.cat([part.force for part in parts]),
-        torch.cat([part.moved for part in parts]),
-        torch.cat([part.error for part in parts]),
-        sum(part.trials for part in parts),
-    )
 
 
 @dataclass(eq=False)
@@ -386,7 +372,13 @@ def collect(network: FgerNetwork, groups: DiskGroups, most: int = _WINDOWS) -> E
         error = force - sequences.force.flatten()[rows]
         hidden, trials = course.hidden.flatten(0, 1)[rows], len(sequences.device)
         parts.append(Errors(hidden, force, moved, error, trials))
-    return joined(parts)
+    return Errors(
+        torch.cat([part.hidden for part in parts]),
+        torch.cat([part.force for part in parts]),
+        torch.cat([part.moved for part in parts]),
+        torch.cat([part.error for part in parts]),
+        sum(part.trials for part in parts),
+    )
 
 
 @torch.no_grad()
@@ -426,7 +418,7 @@ def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
     return torch.from_numpy(out)
 
 
-def tells_across(groups: DiskGroups) -> bool:
+def has_across(groups: DiskGroups) -> bool:
     """Return whether the force across the normal is known anywhere in the trials."""
     loaded = (groups.load(index) for index in range(len(groups)))
     return any(bool(torch.isfinite(each.across[each.valid]).any()) for each in loaded)
@@ -438,7 +430,7 @@ def calibrate_shear(network: FgerNetwork, groups: DiskGroups) -> None:
 
     Args:
         network: With the head.
-        groups: Trials that were not trained on, of which some tell the force across the normal.
+        groups: Trials that were not trained on, some of them with the force across the normal.
     """
     from scipy.optimize import nnls
 
@@ -485,10 +477,10 @@ def train_fger(
     """
     processes = processes or Processes()
     learns_across = config.shear and start is None
-    if learns_across and not processes.mean(torch.tensor(float(tells_across(groups)))):
+    if learns_across and not processes.mean(torch.tensor(float(has_across(groups)))):
         raise TrainingError(
             'network.shear is set, but the sideways force of no trial is known: only simulated'
-            ' trials tell it',
+            ' trials hold it',
             remedy='set network.shear to false, or name simulated trials as well',
         )
     torch.manual_seed(settings.seed)
@@ -522,7 +514,7 @@ def train_fger(
         # Errors of trials that were trained on are too small to calibrate by.
         calibrate_deviation(network, collect(network, checked or groups))
     if learns_across:
-        told = checked is not None and tells_across(checked)
-        calibrate_shear(network, checked if checked is not None and told else groups)
+        held = checked if checked is not None and has_across(checked) else groups
+        calibrate_shear(network, held)
     processes.average_buffers(network)
     return network.cpu(), loop.progress.curves

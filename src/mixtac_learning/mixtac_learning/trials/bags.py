@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import Frame
 from mixtac_core.events.sequence import JUMP_US
+from mixtac_core.node.stamps import stamp_to_ns
 from mixtac_core.node.topics import REFERENCE
+from mixtac_core.recordings.bag import BagFile, custom_data, find_bags, fit_path
+from mixtac_core.recordings.camera_stream import BagRecording
+from mixtac_core.recordings.dataset import described_trial, folder_facts
+from mixtac_core.recordings.recording import NONE, DamagedRecordingError, Selection
+from mixtac_fger.alignment.bags import read_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_learning.trials.trial import AcrossLabel, DatasetError, ForceLabel, TrialArrays
 
@@ -100,11 +106,6 @@ def read_forces(
         DatasetError: It has neither a true force nor a reference that can be aligned.
         AlignmentError: A clock fit beside it or inside is damaged.
     """
-    from mixtac_core.node.stamps import stamp_to_ns
-    from mixtac_core.recordings.bag import BagFile, fit_path
-    from mixtac_core.recordings.recording import DamagedRecordingError
-    from mixtac_fger.alignment.bags import read_fit
-
     rows: dict[bool, list[tuple[float, ...]]] = {False: [], True: []}
     stamps: dict[bool, list[int]] = {False: [], True: []}
     pairs: list[tuple[int, int]] = []
@@ -179,8 +180,6 @@ class BagSource:
         Raises:
             RecordingError: Nothing of it can be read.
         """
-        from mixtac_core.recordings.bag import BagFile
-
         with BagFile(self.path) as bag:
             return bag.damage
 
@@ -200,8 +199,6 @@ class BagSource:
         Raises:
             DatasetError: They cannot be read.
         """
-        from mixtac_core.recordings.bag import fit_path
-
         digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
         digest.update(json.dumps(self.described, sort_keys=True, default=str).encode())
         fit = fit_path(self.path)
@@ -225,15 +222,6 @@ class BagSource:
         truth, reference, across = read_forces(
             self.path, self.reference, incomplete=self.incomplete
         )
-        return replace(self.load_camera(), truth=truth, reference=reference, across=across)
-
-    def load_camera(self) -> TrialArrays:
-        """Read events and frames only: a trial of which no force is known.
-
-        Raises:
-            RecordingError: The bag is damaged or holds no events and frames.
-            DatasetError: It has no frames.
-        """
         events, frames, gaps = _camera(self.path)
         if not frames:
             raise DatasetError(f'{self.path} holds no frames: record image_raw as well')
@@ -243,8 +231,9 @@ class BagSource:
             exposure_start_us=np.array([f.exposure_start_us for f, _ in frames], np.int64),
             exposure_end_us=np.array([f.exposure_end_us for f, _ in frames], np.int64),
             arrival_us=np.array([arrival for _, arrival in frames], np.int64),
-            truth=None,
-            reference=None,
+            truth=truth,
+            reference=reference,
+            across=across,
             origin=self.origin,
             gaps_us=gaps,
         )
@@ -252,9 +241,6 @@ class BagSource:
 
 def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], list[tuple[int, int]]]:
     """Return events, frames with their arrival, and gaps between packets [us, camera clock]."""
-    from mixtac_core.recordings.camera_stream import BagRecording
-    from mixtac_core.recordings.recording import NONE, Selection
-
     recording = BagRecording(path, Selection(imu=NONE))
     parts: list[Events] = []
     frames: list[tuple[Frame, int]] = []
@@ -295,9 +281,6 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     Raises:
         DatasetError: There are none.
     """
-    from mixtac_core.recordings.bag import find_bags
-    from mixtac_core.recordings.dataset import described_trial, folder_facts
-
     bags = find_bags(folder)
     if not bags:
         raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
@@ -313,8 +296,6 @@ def _known(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _inside(bag: Path) -> dict[str, Any]:
-    from mixtac_core.recordings.bag import custom_data
-
     try:
         return dict(json.loads(custom_data(bag)['mixtac.trial']))
     except (ValueError, KeyError, TypeError):

@@ -240,10 +240,10 @@ def make_sample(
     kept = config.reference_frames
     width = config.window_us
     begin_us, end_us = trial.exposure_start_us, trial.exposure_end_us
-    told = np.flatnonzero((begin_us >= label.t_us[0]) & (end_us <= label.t_us[-1]))
-    told = told[told >= kept - 1]
-    few = len(trial.frames) <= kept or not len(told)
-    if few or label.t_us[-1] < trial.arrival_us[told[0]] + width:
+    labelled = np.flatnonzero((begin_us >= label.t_us[0]) & (end_us <= label.t_us[-1]))
+    labelled = labelled[labelled >= kept - 1]
+    few = len(trial.frames) <= kept or not len(labelled)
+    if few or label.t_us[-1] < trial.arrival_us[labelled[0]] + width:
         raise DatasetError(
             f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
             ' a label that lasts beyond them'
@@ -255,7 +255,7 @@ def make_sample(
             f'trial {origin} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
             ' frames must be without contact'
         )
-    first = int(told[0])
+    first = int(labelled[0])
     ends = window_ends(trial, label, width, int(trial.arrival_us[first]))
     slots = frame_arrivals(trial.arrival_us, ends, first)
     middle = (begin_us + end_us) // 2
@@ -263,7 +263,7 @@ def make_sample(
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
         for end, slot in zip(ends, slots, strict=True)
     ]
-    inputs, moments, features = _features(config, trial, ends, slots, told)
+    inputs, moments, features = _features(config, trial, ends, slots, labelled)
     return Sample(
         window_end_us=ends,
         event_features=features,
@@ -273,8 +273,8 @@ def make_sample(
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
         frame_moments=moments,
-        frame_force=forces[told],
-        frame_across=_across(trial, middle[told]),
+        frame_force=forces[labelled],
+        frame_across=_across(trial, middle[labelled]),
         origin=origin,
     )
 

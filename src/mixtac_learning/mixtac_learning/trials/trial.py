@@ -77,7 +77,7 @@ class TrialArrays:
         reference: Normal force that the reference sensor measured; None without one.
         across: True force across the normal; None if unknown.
         origin: Where it came from: seeds, profile, file.
-        gaps_us: Stretches of which event packets were lost, from and to [us].
+        gaps_us: Stretches whose event packets were lost, from and to [us].
     """
 
     events: Events

@@ -14,7 +14,7 @@ from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.recurrent_network import EventResponse
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_learning.judge.estimators import stream
-from mixtac_learning.train.batches import stack
+from mixtac_learning.train.frame_stage import stack
 from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
 from mixtac_learning.trials.trial import ForceLabel
@@ -86,18 +86,6 @@ def test_forces_from_long_before_the_camera_change_nothing(model, trial, monkeyp
     assert np.array_equal(found.force, wanted.force)
     assert np.array_equal(found.t_us, wanted.t_us)
     assert min(pushed) > -1_000_000
-
-
-def test_the_time_of_a_force_is_uncertain(model, trial, monkeypatch):
-    run = stream(model, trial)
-    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
-    known = stream(model, trial)
-    assert np.array_equal(run.force, known.force)
-    added = np.sqrt(run.deviation**2 - known.deviation**2)
-    assert (added >= 0.0).all()
-    # Four windows of a ramp.
-    change = np.abs(np.gradient(run.force))
-    assert np.quantile(added, 0.9) == pytest.approx(4.0 * np.quantile(change, 0.9), rel=0.3)
 
 
 @pytest.mark.usefixtures('exact')

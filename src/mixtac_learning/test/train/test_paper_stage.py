@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import PaperNetwork, Scale, build
+from mixtac_learning.paper.layers import Scale
+from mixtac_learning.paper.networks import PaperNetwork, build
 from mixtac_learning.paper.samples import PaperSample, Segment, assemble, make_paper_sample
 from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.paper_stage import (

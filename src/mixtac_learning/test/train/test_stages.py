@@ -14,9 +14,8 @@ import torch
 from memory_groups import Groups
 
 from mixtac_learning.network import FgerNetwork
-from mixtac_learning.train.batches import Sequences
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.frame_stage import encode
+from mixtac_learning.train.frame_stage import Sequences, encode
 from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.stages import estimate, impacts, train_fger
 

@@ -10,8 +10,12 @@ import pytest
 import torch
 
 from mixtac_learning.network import FgerNetwork
-from mixtac_learning.train.batches import stack
-from mixtac_learning.train.frame_stage import NetworkWithGains, beside_moments, follow_moments
+from mixtac_learning.train.frame_stage import (
+    NetworkWithGains,
+    beside_moments,
+    follow_moments,
+    stack,
+)
 from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.stages import (
     FOLLOWED,

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
-from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_moments, stack
+from mixtac_learning.train.frame_stage import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation
@@ -125,16 +125,12 @@ def test_unreadable_samples_are_named(tmp_path, config, trial, content):
         file.write_bytes(whole)
 
 
-def test_a_trial_that_begins_in_contact_is_refused(config, trial):
+def test_trials_that_begin_in_contact_or_are_too_short_are_refused(config, trial):
     pressed = ForceLabel(trial.truth.t_us, trial.truth.force + 0.2)
-    with pytest.raises(DatasetError):
-        make_sample(config, trial, pressed, {})
-
-
-def test_a_trial_that_is_too_short_is_refused(config, trial):
     short = replace(trial, frames=trial.frames[:5], arrival_us=trial.arrival_us[:5])
-    with pytest.raises(DatasetError):
-        make_sample(config, short, trial.label(), {})
+    for each, label in ((trial, pressed), (short, trial.label())):
+        with pytest.raises(DatasetError):
+            make_sample(config, each, label, {})
 
 
 @pytest.mark.parametrize(('columns', 'rows'), [(True, False), (False, True), (True, True)])
