@@ -133,7 +133,7 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
         )(load(first) if works else first)
         command = get_command(app)
         # From these names typer chooses what may have been meant.
-        command.commands = dict.fromkeys(filter(None, found))  # type: ignore[attr-defined]
+        command.commands = dict.fromkeys(filter(None, found))
     command.name = name
     return command
 
