@@ -70,9 +70,7 @@ def publish_all(graph, topic: str) -> None:
     graph.spin_until(publisher.get_subscription_count)
     time.sleep(1.0)
     for index in range(PACKETS):
-        packed = encode(
-            make_events(index), 'libcaer_cmp', complete_until=START_US + 1000 * (index + 1)
-        )
+        packed = encode(make_events(index), complete_until=START_US + 1000 * (index + 1))
         message = EventPacket(
             height=260, width=346, seq=index, encoding='libcaer_cmp', time_base=packed.time_base
         )
