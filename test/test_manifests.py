@@ -45,6 +45,7 @@ WITHOUT_KEY = {
     'ruckig',
     'safetensors',
     'threadpoolctl',
+    'zstandard',
 }
 """Modules without a key, which pip installs."""
 OPTIONAL = {'hdf5plugin', 'llvmlite'}
