@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SECONDS = 12.0
 
-pytestmark = [pytest.mark.dds, pytest.mark.timeout(500)]
+pytestmark = [pytest.mark.dds, pytest.mark.timeout(1000)]
 
 
 @pytest.fixture(scope='module')
@@ -34,14 +34,14 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     command += ['--seed', '77', '--out', str(out)]
     command += ['--json', str(out.parent / 'summary.json')]
     result = subprocess.run(
-        command, env=module_ros_domain, capture_output=True, text=True, timeout=400, check=False
+        command, env=module_ros_domain, capture_output=True, text=True, timeout=900, check=False
     )
     assert result.returncode == 0, result.stdout + result.stderr
     report = json.loads((out / 'demo.json').read_text())
-    if report['refused'] and report['waited_s'] > 0.0:
-        # A host that is too busy loses taps; the demo then reports what it could not measure.
-        assert report['mae_n'] is None
-        pytest.skip(f'the simulation fell behind on a busy machine: {report["refused"]}')
+    assert (report['mae_n'] is None) == bool(report['refused'])
+    if report['waited_s'] > 0.0 and (report['refused'] or report['dropped']):
+        # A host that is too busy loses taps and frames, and with them the force.
+        pytest.skip('the simulation fell behind on a busy machine')
     assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
     return out
 
