@@ -10,7 +10,7 @@ import time
 
 import matplotlib.pyplot as plt
 
-from mixtac import Sensor
+from mixtac import Sensor, SensorError
 
 source, seconds, picture = (*sys.argv[1:], *('virtual:press', '20', '')[len(sys.argv) - 1 :])
 figure, axes = plt.subplots()
@@ -22,7 +22,10 @@ with Sensor(source) as sensor:
     end = time.monotonic() + float(seconds)
     drawn = 0.0
     while time.monotonic() < end:
-        reading = sensor.async_read(timeout_ms=10_000)
+        try:
+            reading = sensor.async_read(timeout_ms=10_000)
+        except SensorError:  # the end of a recording
+            break
         times.append(reading.stamp_us)
         forces.append(reading.force)
         if time.monotonic() > drawn + 0.1:  # ten pictures a second

@@ -4,12 +4,14 @@
 
 import sys
 
-from mixtac import Sensor
+from mixtac import Sensor, SensorError
 
 source = sys.argv[1] if len(sys.argv) > 1 else 'virtual:press'
 with Sensor(source) as sensor:
-    for number in range(1000):
-        reading = sensor.read()  # 500 a second
-        if number % 50 == 0:
-            seconds = reading.stamp_us / 1e6
-            print(f'{seconds:.3f} s: {reading}')
+    try:
+        for number in range(1000):
+            reading = sensor.read()  # 500 a second
+            if number % 50 == 0:
+                print(f'{reading.stamp_us / 1e6:.3f} s: {reading}')
+    except SensorError as error:  # the end of a recording
+        print(error)
