@@ -9,7 +9,7 @@ Fails when
 * a module that is not named `*_node.py` imports rclpy,
 * a package that robots run imports torch, matplotlib or the simulator,
 * a package has more code lines than its ceiling in pyproject.toml,
-* a module is too long, has no SPDX header, or unpickles,
+* a module is too long, has no SPDX header, unpickles, or assigns constants as tuples,
 * `package.xml` does not declare a workspace package that the code imports.
 
 Imports under `TYPE_CHECKING` and inside functions count like all others. The table of modules and
@@ -164,9 +164,22 @@ def check_text(module: Module) -> list[str]:
         wrong.append(f'{module.code_lines} code lines, at most {MAX_CODE_LINES}')
     if 'SPDX-License-Identifier: Apache-2.0' not in module.text[:200]:
         wrong.append('no SPDX header')
+    wrong += [
+        f'line {node.lineno}: give each constant a line and a sentence of its own'
+        for node in ast.parse(module.text).body
+        if isinstance(node, ast.Assign) and shares_a_line(node, module.text)
+    ]
     if UNSAFE.search(module.text):
         wrong.append('loads data that can run code; use safetensors, npz or safe_load')
     return wrong
+
+
+def shares_a_line(node: ast.Assign, text: str) -> bool:
+    """Return whether constants share an assignment (`A, B = 1, 2`), or one is bare (`A = 1, 2`)."""
+    value = str(ast.get_source_segment(text, node.value))
+    if isinstance(node.targets[0], ast.Tuple):
+        return isinstance(node.value, ast.Tuple) or value.startswith('range(')
+    return isinstance(node.value, ast.Tuple) and not value.startswith('(')
 
 
 def edges(modules: Iterable[Module]) -> dict[str, set[str]]:
