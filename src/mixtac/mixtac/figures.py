@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORCE, REFERENCE, EVENTS, MARK = '#e07b00', '#1f4e8c', '#5a5a5a', '#c0392b'
-"""Colours of the estimated force, the reference force, events, and marked moments or outliers."""
+FORCE = '#e07b00'  # colours, by what is drawn
+REFERENCE = '#1f4e8c'
+EVENTS = '#5a5a5a'
+MARK = '#c0392b'
 DPI = 110
 
 

@@ -32,8 +32,10 @@ BIT_SHIFT = 6
 BAYER = {1: 'rggb', 2: 'grbg', 3: 'gbrg', 4: 'bggr'}
 """ROS names of the camera's colour filters, by their first two rows. Filters with white pixels,
 5 to 8, have no name: their frames are mono16."""
-GLOBAL_SHUTTER, ROLLING_SHUTTER = 0, 1
-"""Values of FrameExposure.shutter."""
+GLOBAL_SHUTTER = 0
+"""Value of FrameExposure.shutter."""
+ROLLING_SHUTTER = 1
+"""Value of FrameExposure.shutter."""
 
 
 def ros_message(type_name: str) -> Any:  # noqa: ANN401

@@ -95,7 +95,8 @@ def _sizes(table: str) -> dict[str, Sizes]:
 
 PAPER_SIZES = _sizes('paper')
 """Sizes of the experiments of the paper."""
-FULL, QUICK = PAPER_SIZES['full'], PAPER_SIZES['quick']
+FULL = PAPER_SIZES['full']
+QUICK = PAPER_SIZES['quick']
 TABLE_SIZES = _sizes('table')
 """Sizes of the table of all models (`mixtac experiments models --size`)."""
 VARIANTS: dict[str, dict[str, Any]] = _TABLES['variants']

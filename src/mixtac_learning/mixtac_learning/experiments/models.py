@@ -47,7 +47,8 @@ ROWS = (
 ALL_ROWS = tuple(dict.fromkeys((*ROWS, *MODELS, *VARIANTS)))
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
-TRAINING, COST = 'training', 'core_minutes'
+TRAINING = 'training'
+COST = 'core_minutes'
 FIGURES = (
     *('mae', 'rmse', 'r2', 'constant_mae', 'reference_mae', 'peak_error'),
     *('coverage_68', 'coverage_95', COST),

@@ -42,7 +42,8 @@ from mixtac_sim.world.effects import preset
 from mixtac_sim.world.segments import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 
-PRESSED, TAPPING = 'pressed', 'tapping'
+PRESSED = 'pressed'
+TAPPING = 'tapping'
 DEPTH_MM = 0.6
 """Mean depth of the vibrating body in a pressed contact [mm]."""
 SIZES_MM = {PRESSED: (0.05, 0.1, 0.2), TAPPING: (0.8, 1.0)}
@@ -56,8 +57,12 @@ LOWEST_HZ = 30.0
 """Lower frequencies belong to the relaxation of the gel [Hz]."""
 CELL_PX = 32
 """Side of a cell in which flow is summed [px]."""
-COUNT, POLARITY, FLOW = 'count', 'polarity', 'flow'
-"""Number of events; ON minus OFF; polarity times the gradient of a frame."""
+COUNT = 'count'
+"""Signal: number of events."""
+POLARITY = 'polarity'
+"""Signal: ON minus OFF events."""
+FLOW = 'flow'
+"""Signal: polarity times the gradient of a frame, summed over events."""
 BINS_US = {COUNT: 2000, POLARITY: 2000, FLOW: 1000}
 """Length of a bin [us]: that of the paper, and half of it where twice the tone has to fit."""
 _FINER = 8
