@@ -39,9 +39,9 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     assert result.returncode == 0, result.stdout + result.stderr
     report = json.loads((out / 'demo.json').read_text())
     assert (report['mae_n'] is None) == bool(report['refused'])
-    if report['waited_s'] > 0.0 and (report['refused'] or report['dropped']):
-        # A host that is too busy loses taps and frames, and with them the force.
-        pytest.skip('the simulation fell behind on a busy machine')
+    if report['waited_s'] > 0.0 and report['refused']:
+        # A host that is too busy loses taps; the demo then reports what it could not measure.
+        pytest.skip(f'the simulation fell behind on a busy machine: {report["refused"]}')
     assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
     return out
 
