@@ -6,8 +6,6 @@ With `device:=` the sensor is started as by `sensor.launch.py`; without it the r
 recorded. `mixtac record` waits for event packets and writes the bag. Ctrl-C closes the bag.
 """
 
-import sys
-
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -21,7 +19,7 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.substitutions import FindPackageShare
+from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
 from mixtac_core.node.launch_actions import environment, shared_arguments, value
 from mixtac_core.node.process import GraphError
@@ -53,7 +51,7 @@ ARGUMENTS = [
 
 def _recorder(context):
     """Return the actions that record."""
-    command = [sys.executable, '-m', 'mixtac', 'record', value(context, 'output')]
+    command = [ExecutableInPackage('mixtac', 'mixtac'), 'record', value(context, 'output')]
     command += ['--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     command += ['--wait', str(START_S if value(context, 'device') else RUNNING_S)]

@@ -194,11 +194,13 @@ def build_messages(venv: Path, steps: Steps) -> None:
 
 def write_executables(venv: Path, package: Path) -> None:
     """Write what `ros2 run` and `ros2 launch` start of a package, as colcon does."""
-    for path in package.glob(f'{package.name}/**/*_node.py'):
-        if not re.search(r'^(def )?main\b', path.read_text(), re.MULTILINE):
+    command = package / package.name / '__main__.py'
+    for path in [command, *package.glob(f'{package.name}/**/*_node.py')]:
+        if not path.exists() or not re.search(r'^(def )?main\b', path.read_text(), re.MULTILINE):
             continue  # a node inside of commands
         module = '.'.join(path.relative_to(package).with_suffix('').parts)
-        script = venv / 'lib' / package.name / path.stem
+        name = package.name if path == command else path.stem
+        script = venv / 'lib' / package.name / name
         script.parent.mkdir(exist_ok=True)
         lines = [f'#!{venv}/bin/python', 'import sys', f'from {module} import main']
         script.write_text('\n'.join([*lines, 'sys.exit(main())', '']))

@@ -8,6 +8,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Generator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -141,7 +142,8 @@ def live_images(topic: str, device: str) -> Images:
 
     newest: deque[Any] = deque(maxlen=1)
     with ProcessGroup() as processes, CommandNode.opened('calibrate', DEFAULT_NAMESPACE) as node:
-        node.subscribe_topic(IMAGE_RAW, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
+        latest = replace(IMAGE_RAW, depth=1)
+        node.subscribe_topic(latest, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
         if device:
             nodes = [each for each in sensor_graph(device) if not each.lifecycle]
             start_nodes(processes, nodes, topic.strip('/').rpartition('/')[0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 from mixtac_core.events.packets import CodecError, header_stamp_ns, read_packet
@@ -107,10 +108,11 @@ class TopicMeter:
         if interval_ns <= 0:
             self.backwards += 1
             return
-        # The shortest of the latest ones follows a change of the exposure interval.
-        usual_ns = min(self._intervals_ns, default=interval_ns)
-        if len(self._intervals_ns) == LEARNING and interval_ns > GAP * usual_ns:
-            self.missing += round(interval_ns / usual_ns) - 1
+        if len(self._intervals_ns) == LEARNING:
+            # The median of the latest ones follows a change of the exposure interval.
+            usual_ns = median(self._intervals_ns)
+            if interval_ns > GAP * usual_ns:
+                self.missing += round(interval_ns / usual_ns) - 1
         self._intervals_ns.append(interval_ns)
 
 

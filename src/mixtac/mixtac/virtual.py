@@ -47,7 +47,7 @@ class VirtualProcess:
     def __init__(self, scenario: str) -> None:
         command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
         self._process = subprocess.Popen(
-            ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
         found = self._answer()
         if not found.get('device'):
@@ -69,7 +69,7 @@ class VirtualProcess:
                 print(text, file=sys.stderr)
             elif not (line := output.readline()):
                 return {}
-            elif line.startswith('{'):
+            elif line.startswith(b'{'):
                 return dict(json.loads(line))
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -295,13 +296,16 @@ class RecordedSource:
             self._timeline.restart(start_us)
             self._anchor = self._reached_us = shift_us = None
             with closing(recording.pieces()) as pieces:
-                steps = self._timeline.steps(from_time(pieces, start_us), self._step_us)
+                wanted = takewhile(lambda _: not self._stopping, pieces)
+                steps = self._timeline.steps(from_time(wanted, start_us), self._step_us)
                 for step in steps:
                     if shift_us is None:
                         shift_us = self._shift_us(start_us, step.due_us)
                     if not self._wait(step.due_us):
                         return
                     yield self._batch(step, shift_us)
+            if self._stopping:
+                return
             if shift_us is None:
                 raise RecordingError(
                     f'playback_start = {start_s:g} s lies beyond the end of '

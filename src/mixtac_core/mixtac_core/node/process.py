@@ -64,6 +64,10 @@ def exact_sleeps() -> None:
         ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)
 
 
+COMPILING_S = 300.0
+"""Time after which a process compiles although another one of the user still does [s]."""
+
+
 @contextlib.contextmanager
 def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[None]:
     """Load compiled kernels, or compile them while no other process of the user compiles the same.
@@ -87,15 +91,29 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
                 # It may take longer than `STUCK_S`.
                 faulthandler.cancel_dump_traceback_later()
                 say()
-                fcntl.flock(lock, fcntl.LOCK_EX)
+                _await_lock(lock, time.monotonic() + COMPILING_S)
 
         def on_end(self, _event: object) -> None:
             pass
 
-    name = f'mixtac-{os.getuid()}-{kernels.replace("/", ".")}.lock'
-    path = Path(tempfile.gettempdir()) / name
+    folder = Path(tempfile.gettempdir()) / f'mixtac-kernels-{os.getuid()}'
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.lstat().st_uid != os.getuid():
+        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
+    path = folder / kernels.replace('/', '.')
     with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
         yield
+
+
+def _await_lock(lock: IO[str], until_s: float) -> None:
+    # Without a lock in the end: one process that hangs must not keep all others from starting.
+    while time.monotonic() < until_s:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.05)
+        else:
+            break
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:

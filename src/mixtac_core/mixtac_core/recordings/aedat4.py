@@ -42,6 +42,8 @@ SLICE_US = 1000
 PACKAGE = 'dv-processing==2.0.4'
 PIECES = 100
 """Pieces that are passed on at once."""
+START_S = 180.0
+"""Longest time in which a process starts and opens a file [s]."""
 PATIENCE_S = 30.0
 """Longest time without progress, after which a file counts as damaged [s]."""
 KINDS = ('events', 'image', 'imu', 'triggers')
@@ -145,17 +147,17 @@ class Aedat4Recording:
         )
         theirs.close()
         self._wire.send((self._path, self._selection))
-        info: RecordingInfo = self._received()
+        info: RecordingInfo = self._received(START_S)
         return info
 
-    def _received(self) -> Any:  # noqa: ANN401
+    def _received(self, patience_s: float = PATIENCE_S) -> Any:  # noqa: ANN401
         """Return what the process sent next.
 
         Raises:
             RecordingError: What the process found, or it stands still or has crashed.
         """
         try:
-            found = self._wire.recv() if self._wire.poll(PATIENCE_S) else None
+            found = self._wire.recv() if self._wire.poll(patience_s) else None
         except EOFError:
             found = None
         if found is None:

@@ -251,11 +251,11 @@ class BagWriter:
         self._flush()
 
     def _flush(self) -> None:
+        if not self.failure and shutil.disk_usage(self._path).free < RESERVE:
+            self.failure = f'less than {RESERVE >> 20} MiB are left on the disk'
         while self._queue:
             connection, received_ns, data = self._queue.popleft()
             try:
-                if not self.failure and shutil.disk_usage(self._path).free < RESERVE:
-                    self.failure = f'less than {RESERVE >> 20} MiB are left on the disk'
                 if not self.failure:
                     self._writer.write(connection, received_ns, data)
                     self.written[connection.topic] += 1

@@ -309,4 +309,6 @@ def _read_clocks(protocol: Protocol) -> Clocks:
         for p in (SystemInfo.LOGIC_CLOCK, SystemInfo.ADC_CLOCK, SystemInfo.USB_CLOCK)
     ]
     deviation = protocol.read(Module.SYSTEM_INFO, SystemInfo.CLOCK_DEVIATION)
+    if not (deviation and all(nominal)):
+        raise UnsupportedCameraError('a camera clock is 0 MHz', remedy='reconnect the camera')
     return Clocks(*(mhz * deviation / 1000 for mhz in nominal))
