@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac export | import | inspect | repair`: recordings as other files, and their contents."""
+"""`mixtac export | import | inspect | repair`: convert, list and repair recordings."""
 
 from __future__ import annotations
 

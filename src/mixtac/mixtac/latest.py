@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The latest value of a stream and the ways to read it, named as those of LeRobot's cameras."""
+"""The latest value of a stream; its read methods have the names of LeRobot's cameras."""
 
 from __future__ import annotations
 

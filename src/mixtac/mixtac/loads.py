@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plateaus of known loads, from a recording or on a live sensor, for `mixtac calibrate-force`.
 
-`mixtac_fger.force_calibration` defines what a plateau is, and refuses those that cannot be used.
+`mixtac_fger.force_calibration` defines plateaus, and rejects those that cannot be used.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The `mixtac` command line: which function stands behind each command.
+"""The `mixtac` command line, and the function of each command.
 
-A command is a function for typer. Its module is imported when the command runs or its help is
-printed, so that a short command does not wait for the imports of a long one.
+A command is a function for typer. Its module is imported only when the command runs or its help is
+printed, so that a fast command does not wait for the imports of a slow one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ INTERRUPTED = 130
 
 
 def show_version(asked: bool) -> None:
-    """Print the version and leave, if that is asked for."""
+    """Print the version and exit, if `--version` is given."""
     if asked:
         print(f'mixtac {version("mixtac")}')
         raise typer.Exit

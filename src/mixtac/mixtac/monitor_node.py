@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of the command line.
 
-`CommandNode` is the one node of a command. `Monitor` receives forces and diagnostics in a thread of
-its own, as any user's node would.
+`CommandNode` is the node of a command that uses ROS. `Monitor` receives forces and diagnostics in
+its own thread, as any user's node would.
 """
 
 from __future__ import annotations

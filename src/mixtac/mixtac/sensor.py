@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor as an object: force and pictures as they come, without ROS.
+"""A sensor as an object: the latest force and pictures, without ROS.
 
-The same parts as in the ROS nodes do the work: the driver's source and supervisor, the live
+It is made of the same parts as the ROS nodes: the driver's source and supervisor, the live
 estimator with its checks, and the writer of bags.
 """
 

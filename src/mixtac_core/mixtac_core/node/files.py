@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that people and programs read: written whole or not at all, read into checked dataclasses.
+"""Write files completely or not at all; read files into checked dataclasses.
 
-Every error names the path.
+Every error message names the path.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def state_file(name: str) -> Path:
             this folder.
 
     Raises:
-        FileError: The name has other characters or is too long, or leaves this folder.
+        FileError: The name contains other characters, is too long, or is outside this folder.
     """
     home = os.environ.get('MIXTAC_HOME')
     state = os.environ.get('XDG_STATE_HOME') or '~/.local/state'

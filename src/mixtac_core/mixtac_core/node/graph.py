@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a sensor: which there are, and the command that starts each of them.
+"""The nodes of a sensor, and the command that starts each of them.
 
 `mixtac up`, the launch files and the benchmarks read this description.
 """

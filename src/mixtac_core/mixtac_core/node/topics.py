@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of the sensor graph: name, message type and QoS of each.
 
-`docs/reference.md` describes what each carries, on which clock. Beside them, reading and writing
-the message of the forces.
+`docs/reference.md` describes the content and the clock of each topic. This module also reads and
+writes force messages.
 """
 
 from __future__ import annotations

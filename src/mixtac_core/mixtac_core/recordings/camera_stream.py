@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Opening a recording, and bags as recordings: events, frames, samples, edges of one camera.
+"""Open a recording; read events, frames, samples and edges of one camera from a bag.
 
 The camera clock is that of the event packets. This driver stamps frames and samples on it as well.
 Other drivers stamp them with host time: they are shifted by the difference between the stamp of the

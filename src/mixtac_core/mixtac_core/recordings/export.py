@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as AEDAT4, CSV, HDF5 or NPZ, in one pass; only NPZ is held in memory."""
+"""Export recordings to AEDAT4, CSV, HDF5 or NPZ in one pass; only NPZ is held in memory."""
 
 from __future__ import annotations
 
