@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about cameras on the USB, a running camera, and this computer.
+"""Checks of cameras on the USB, of a running camera, and of this computer.
 
 Checks of the USB need no permission for the camera: they read what the kernel reports (kernel
 documentation, ABI/testing/sysfs-bus-usb).

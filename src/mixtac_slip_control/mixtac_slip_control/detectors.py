@@ -9,8 +9,8 @@ force, which moves beads too.
 Flow: translation of the skin around the contact. Events of a changing normal force point away from
 the contact and cancel in the translation, and so do pixels that flicker without motion. One window
 is checked for fast slip, and a sum over several for slow slip, whose motion adds up while noise
-does not. In either the events have to agree: where many fire at once, as when a lamp is switched
-on, the rest of their sum is no motion.
+does not. In both checks the events must agree: when many pixels fire at once, as when a lamp is
+switched on, the remainder of their sum is not a motion.
 
 `Detectors` runs both on the same windows. Their thresholds at rest are learned once, from the first
 second, and again after a tare.

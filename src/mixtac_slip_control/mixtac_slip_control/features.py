@@ -4,9 +4,9 @@
 
 A bead edge that moves by u changes the log intensity by -g u, where g is its gradient; each event
 reports one contrast threshold of that change with its sign. Sums of sign times gradient over a
-window, weighted with the fields that the motion may have, therefore give the motion by least
-squares. Two kinds of motion are separated: translation of the skin around the contact, which slip
-causes, and motion away from the centre of the contact, which pressing causes.
+window, weighted with the possible motion fields, therefore give the motion by least squares. Two
+kinds of motion are separated: translation of the skin around the contact, which slip causes, and
+motion away from the centre of the contact, which pressing causes.
 """
 
 from __future__ import annotations

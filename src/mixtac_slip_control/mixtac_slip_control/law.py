@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""The advance laws: how far the arm shall advance along the contact normal.
+r"""The advance laws: they compute how far the arm advances along the contact normal.
 
 `paper_advance` is the law of the paper (section Closed loop Slip Control): in a window with
 :math:`N_t > N_{th}` the arm advances by :math:`\Delta d_t = k\,(N_t - N_{th})`.
@@ -9,8 +9,8 @@ r"""The advance laws: how far the arm shall advance along the contact normal.
 the sensor cancel in this ratio. On the way it learns the stiffness of the contact by least squares.
 At a slip it advances by one bounded step, holds, and returns slowly to the press.
 
-`AdvanceLaw.update` alone decides how far: no law passes the advance at which the force would reach
-`force_share` of `max_force` by the upper bound of the stiffness, nor `max_total`.
+`AdvanceLaw.update` limits the advance of every law to `max_total`, and to the advance at which the
+force would reach `force_share` of `max_force` at the upper bound of the stiffness.
 """
 
 from __future__ import annotations

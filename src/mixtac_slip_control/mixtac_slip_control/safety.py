@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Interlock and watchdogs: when the arm may follow slip.
+"""Interlock and watchdogs: the conditions under which the arm may respond to slip.
 
 The interlock is off at start, on by request, and latches the first fault. The watch measures the
-age of each input and checks the limits. Neither is a safety-rated function: the robot's own limits,
-its protective stop and the emergency stop remain what keeps people safe.
+age of each input and checks the limits. Neither is a safety-rated function. People are protected by
+the robot's own limits, its protective stop and the emergency stop.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 """Whether the arm follows the plan, and whether its controller received every plan in time.
 
 Measured joint positions are compared with the plan over the time by which the arm may lag: along
-the advance by distance, across it joint by joint. The sag of the arm at the start is left out.
-Commanded positions, where the controller reports them, are compared over one period: they leave the
-plan when a trajectory was taken up too late.
+the advance by distance, across it joint by joint. The sag of the arm at the start is subtracted.
+Commanded positions, where the controller reports them, are compared over one period: they deviate
+from the plan when the controller started a trajectory too late.
 """
 
 from __future__ import annotations
