@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""Where something touches the skin, how large the contact is and which way it lies.
+r"""Position, size and orientation of a contact on the skin.
 
-A press drives the beads of a thin bonded layer away from itself; a pull takes them along, farther
-ahead and behind than beside it. The field of a contact at :math:`c` is fitted as
+A press moves the beads of a thin bonded layer away from the contact. A pull moves them in its own
+direction, and moves those ahead of and behind the contact more than those beside it. The field of a
+contact at :math:`c` is fitted as
 
 .. math:: u(p) = \left[ a \, (1 + q)^{-3/2} + b k \, (d^T s) (1 + k q)^{-5/2} \right] M d
                  + s \, (1 + k q)^{-3/2}, \quad d = p - c, \quad q = d^T M d
 
 by weighted least squares (Levenberg and Marquardt): the symmetric matrix :math:`M` holds the width
-along each axis, :math:`s` what shear and perspective add, k (`SHEAR_FALL`) and b (`SHEAR_LOBES`)
-the shape of that. Weights are the structure tensors of the field, so that the fit is one of the
-picture itself, and points without texture do not count.
+along each axis, :math:`s` is the displacement that shear and perspective add, and k (`SHEAR_FALL`)
+and b (`SHEAR_LOBES`) give its shape. Weights are the structure tensors of the field: the fit is
+then equivalent to a fit of the picture itself, and points without texture have no weight.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Displacement of the beads since the no-contact reference, in pixels and in millimetres of skin.
 
-Iterated least squares (Lucas and Kanade) between log contrasts: each step measures what the steps
-before left, against the reference moved by them. Neither exposure nor lamp current matter.
+Iterated least squares (Lucas and Kanade) between log contrasts: each step moves the reference by
+the displacement found so far, and measures what remains. Exposure and lamp current have no effect.
 """
 
 from __future__ import annotations

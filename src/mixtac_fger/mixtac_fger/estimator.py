@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator of an architecture: its interface, its registry, and what an estimate is.
+"""The interface and the registry of estimators, and the type of an estimate.
 
 A package registers an architecture by an entry point of the group `mixtac.estimators`, named like
 the architecture in the weight file:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The recurrent path and the uncertainty head, compiled: what runs 500 times a second.
+"""The recurrent path and the uncertainty head, compiled: they run 500 times a second.
 
 Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against. Only `EventResponse` has no part there: it is what a
-sensor shows of itself while it runs.
+the reference that this is tested against. Only `EventResponse` is not part of it: it is fitted to
+the sensor at run time.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def deviation(state: F32, force: float, moved: float, weights: HeadWeights) -> A
 
 
 class EventResponse:
-    r"""How the events of a sensor answer to force, by its frames: their gain and their play.
+    r"""The response of events to force, measured with frames: its gain and its play.
 
     Contrast thresholds, gels and beads differ from sensor to sensor, and with them the sum of
     increments that events give for a change of force. And events have play, like a worn gear: after

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The no-contact reference, the file that keeps it, and when it may be renewed.
+"""The no-contact reference, its file, and the conditions for its renewal.
 
-A contact that was there from the start looks like none, since beads lie anywhere in a gel. So a
-first zero needs a release, which draws the skin together; a later one is compared with the
-reference.
+A contact that is present from the start cannot be seen, because the beads are at random places in
+the gel. The first zero therefore requires a release, during which the skin contracts. A later zero
+is compared with the reference.
 """
 
 from __future__ import annotations

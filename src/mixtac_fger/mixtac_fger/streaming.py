@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The live estimator: events and frames in as they arrive, a force out per 2 ms window.
+"""The live estimator: it receives events and frames, and returns a force per 2 ms window.
 
 All times are on the camera clock [us].
 
