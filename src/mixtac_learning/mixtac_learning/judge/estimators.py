@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates of models over trials, as they would run live; trials that cannot be used are named."""
+"""Run models over trials as on a live stream; trials that cannot be used are reported."""
 
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first stage of training FGER-Net: the frame network and the gains of the sensors.
 
-It begins with the forces of the moments alone, and what the convolutions add is kept small. The
-losses of forces are those of the later stages too, and so are the sequences: trials side by side,
-in groups from disk, mirrored at random.
+It begins with the forces of the moments alone, and a penalty keeps the part of the convolutions
+small. The later stages use the same force losses and the same sequences: trials side by side, in
+groups from disk, mirrored at random.
 """
 
 from __future__ import annotations
