@@ -67,39 +67,39 @@ def calibrate_force(
     loads: Annotated[
         str,
         typer.Option(
-            help='Loads (g) in their order, such as 20,50,100. If empty, a reference force sensor '
-            'is used if one publishes, else 20,50,100 (50 with --check).'
+            help='Loads (g) in the order of application, such as 20,50,100. If empty, a reference '
+            'force sensor is used if one publishes, else 20,50,100 (50 with --check).'
         ),
     ] = '',
     sideways_loads: Annotated[
         str,
         typer.Option(
-            help='Loads (g) on a thread that pull the largest of the others aside, such as 20, for '
-            'the sideways force. They are in the last contact of a recording.'
+            help='Loads (g) on a thread, such as 20, that pull the largest other load sideways, '
+            'for the sideways force. In a recording, they are in the last contact.'
         ),
     ] = '',
     scale: Annotated[
         bool,
-        typer.Option('--scale', help='Press until a kitchen scale shows the grams: no weights.'),
+        typer.Option('--scale', help='Without weights: press until a kitchen scale shows a load.'),
     ] = False,
     load_sd: Annotated[
         Optional[float],  # noqa: UP045  (typer evaluates this under Python 3.10)
         typer.Option(min=0, help='Standard uncertainty of a load (g); 1, or 2 with --scale.'),
     ] = None,
     model: Annotated[
-        str, typer.Option(help='Model to calibrate: a weight file or the name of a shipped one.')
+        str, typer.Option(help='Model to calibrate: weight file, or name of a shipped model.')
     ] = DEFAULT_MODEL,
     out: Annotated[
-        OptionalPath, typer.Option(help='Weight file to write (.safetensors), with a card.')
+        OptionalPath, typer.Option(help='Weight file (.safetensors) to write, with a model card.')
     ] = None,
-    gel: Annotated[str, typer.Option(help='Name of the gel, for the card.')] = '',
+    gel: Annotated[str, typer.Option(help='Name of the gel, for the model card.')] = '',
     check: Annotated[
         bool,
         typer.Option('--check', help='Check a calibrated --model with known loads; write nothing.'),
     ] = False,
     bag: Annotated[
         OptionalPath,
-        typer.Option(help='Recording of the procedure instead of a live sensor.', exists=True),
+        typer.Option(help='Recording of the procedure to use instead of a sensor.', exists=True),
     ] = None,
     yes: Annotated[
         bool,
@@ -111,7 +111,7 @@ def calibrate_force(
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
 ) -> None:
-    """Calibrate the force of a sensor by weights or a kitchen scale; no force sensor needed."""
+    """Calibrate the force of a sensor with weights or a kitchen scale, without a force sensor."""
     start = find_model(model)
     content = read_model(start)
     relative_sd = _checked(content, start, out, check=check, sideways=bool(sideways_loads))

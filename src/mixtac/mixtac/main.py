@@ -38,7 +38,7 @@ def mixtac(
     _version: Annotated[
         bool,
         typer.Option(
-            '--version', is_eager=True, callback=show_version, help='Print the version and leave.'
+            '--version', is_eager=True, callback=show_version, help='Print the version and exit.'
         ),
     ] = False,
 ) -> None:
@@ -98,7 +98,7 @@ class Commands(TyperGroup):
         return list(filter(None, self.targets))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
-        """Return a command, None for an unknown one."""
+        """Return a command, or None if it is unknown."""
         target = self.targets.get(cmd_name) if cmd_name else None
         return target and make_command(cmd_name, target)
 
@@ -176,11 +176,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: Without the program's name; None for those of the process.
+        arguments: Arguments without the program name; None for those of the process.
 
     Returns:
-        Exit status: 0; 1 after an expected failure, with one line on stderr, or where what was
-        checked is not in order; 2 for wrong usage; 130 after Ctrl-C.
+        Exit status: 0; 1 after an expected failure, with one line on stderr, or if a check fails;
+        2 for wrong usage; 130 after Ctrl-C.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

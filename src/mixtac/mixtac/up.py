@@ -99,7 +99,7 @@ def up(
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
     model: Annotated[
         str,
-        typer.Option(help='Weight file or name of a model; by default that of the parameter file.'),
+        typer.Option(help='Weight file or name of a model; by default, see the parameter file.'),
     ] = '',
     play: Annotated[bool, typer.Option(help='Virtual sensor: play its scenario in a loop.')] = True,
     view: Annotated[
@@ -244,7 +244,7 @@ def slip(
     seconds: RunTime = 0.0,
     figure: Annotated[
         Path,
-        typer.Option(help='Picture of the impacts, written at the end.', callback=writable),
+        typer.Option(help='Figure of the impacts, written at the end.', callback=writable),
     ] = Path('slip.png'),
 ) -> None:
     """Hold a simulated object against disturbances with the real driver and slip control."""
