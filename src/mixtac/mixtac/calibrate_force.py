@@ -195,7 +195,7 @@ def lead_live(
         procedure: Arguments of `LiveProcedure.lead`.
 
     Raises:
-        ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+        ForceCalibrationError: The measured loads do not allow a calibration.
         GraphError: A node failed.
     """
     from mixtac.monitor_node import Monitor

@@ -239,7 +239,7 @@ class LiveProcedure:
             scale: A kitchen scale shows the load.
 
         Raises:
-            ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+            ForceCalibrationError: The measured loads do not allow a calibration.
             GraphError: A node failed.
         """
         session = Session(loads=loads, pull_loads=pulls)

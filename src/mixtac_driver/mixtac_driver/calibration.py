@@ -205,7 +205,7 @@ def coverage(views: Sequence[View]) -> float:
 
 
 class ViewSelection:
-    """Keeps views worth fitting.
+    """Keeps the views that add information to the fit.
 
     Attributes:
         views: Views kept, in order of arrival.

@@ -267,7 +267,7 @@ MOST_WORDS = 64 << 20
 
 @dataclass
 class RawData:
-    """What a camera sent while it was measured.
+    """Data that a camera sent during the measurement.
 
     Attributes:
         words: Its bytes, as the decoder reads them; the first `MOST_WORDS`.
@@ -350,7 +350,7 @@ def check_running(
     Args:
         p: Device, serial number and settings.
         seconds: Duration of the count [s].
-        raw: Receives what the camera sends.
+        raw: Receives the data of the camera.
         backend: A pyusb backend to use instead of the one that the device string names.
     """
     on_transfer = None if raw is None else raw.add

@@ -200,7 +200,7 @@ LEAST_RATE_HZ = 10.0
 FACTOR = 10.0
 """A hot pixel has at least this many times the events of the pixel it is compared with."""
 RANK = -4
-"""The fourth noisiest of the neighbours is what a pixel is compared with."""
+"""A pixel is compared with the fourth noisiest of its neighbours."""
 FEWEST_EVENTS = 10
 """Fewer than this may be chance where most pixels have none."""
 SIGMAS = 5.0

@@ -191,7 +191,7 @@ def _fit(
     """Fit from `p`, or from a search; write parameters and covariance.
 
     Returns:
-        Weighted square of the field, and what the fit leaves of it.
+        Weighted square of the field, and of the residual of the fit.
     """
     shape = PARAMETERS, PARAMETERS
     normal, right = np.empty(shape), np.empty(PARAMETERS)
@@ -275,8 +275,9 @@ class ContactFit:
     Attributes:
         parameters: a [mm^2], s [mm], c [mm], M [1/mm^2]; see the module.
         covariance: Of these, float64 [8, 8], for the noise of the picture.
-        significance: Square root of what the contact explains of the field, over what it leaves:
-            standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be seen.
+        significance: Square root of the ratio of the explained to the unexplained part of the
+            field: standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be
+            seen.
         gains: Change of the parameters per displacement of each cell of the event grid, right and
             down in the image [.../px], float64 [8, rows, columns, 2].
     """
@@ -317,7 +318,7 @@ class ContactShape(NamedTuple):
 
 
 def contact_shape(p: F64, covariance: F64, scale: SkinScale, object_radius: float) -> ContactShape:
-    """Return what the parameters of a fit say about place and shape.
+    """Return the place and shape that follow from the parameters of a fit.
 
     Args:
         p: Parameters [8].
@@ -374,7 +375,7 @@ def contact_radius(
 
 
 class ContactFitter:
-    """Fits contacts to displacement fields, each from where the one before was.
+    """Fits contacts to displacement fields; each fit starts from the result of the last one.
 
     Args:
         size: Columns and rows of the image [px].

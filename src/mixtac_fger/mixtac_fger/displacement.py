@@ -88,7 +88,7 @@ class DisplacementField:
         moved: Displacement x and y [px], float32 [2, rows, columns].
         tensor: Structure tensor xx, xy, yy of a bin of the picture [log units^2/px^2], float32
             [3, rows, columns]: how much texture there is to measure by.
-        noise: Root mean square of what the displaced reference leaves of the picture [log units].
+        noise: Root mean square of the residual between picture and displaced reference [log units].
         spacing_px: Distance of neighbouring points [px]; the first lies half of it from the corner.
         bin_px: Pixels of a bin of the picture along each axis.
     """

@@ -52,7 +52,7 @@ class EncodedFrame:
         content: Private to the estimator.
         contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
             not compute it, whose frames are not compared with the events.
-        picture: What it has in common with the reference; None without one.
+        picture: Comparison with the reference; None without one.
         touch: Displacement of the beads and the contact; None unless asked for.
     """
 
@@ -76,7 +76,7 @@ class Estimator(ABC):
         window_us: Length of a window [us]; one force per window.
         gives_deviation: Whether `step` returns a standard deviation.
         finds_contact: Whether encoded frames can have a `touch`.
-        force_unit: Force of what was one newton in the training [N]; not 1 after a calibration.
+        force_unit: Force that one newton in the training stands for [N]; not 1 after a calibration.
         reference: The no-contact reference; None if the architecture needs none.
     """
 
@@ -237,7 +237,7 @@ def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
 
 @dataclass(slots=True)
 class EstimatorStatus:
-    """What the live estimator counted since it was made, and its present state.
+    """Counters of the live estimator since its creation, and its present state.
 
     Attributes:
         windows: Windows closed.
@@ -300,7 +300,7 @@ CALIBRATED_KEY = 'calibrated'
 
 @dataclass(frozen=True, slots=True)
 class CameraFacts:
-    """What is known about the camera.
+    """Known properties of the camera.
 
     Attributes:
         width: Columns of its frames [px]; 0 while unknown.

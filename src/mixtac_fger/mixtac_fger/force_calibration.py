@@ -425,7 +425,7 @@ FEWEST_SAMPLES: Final = 10
 
 
 def reference_loads(t_s: F64, reference_n: F64, plateaus: Sequence[Plateau]) -> list[Load]:
-    """Return what a reference sensor measured during plateaus, less what it showed in their rests.
+    """Return the force of a reference sensor during plateaus, less its reading in their rests.
 
     Args:
         t_s: Times on the clock of the plateaus [s]; to a tenth of a second is enough.

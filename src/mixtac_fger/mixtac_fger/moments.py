@@ -110,7 +110,7 @@ def contact_of(found: F32 | F64, shape: tuple[int, int]) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def moments_of_cells(contact: tuple[float, float], shape: tuple[int, int], out: F64) -> None:
-    """Write what the displacements x and y of each cell of a grid add to the moments.
+    """Write the contribution of the displacements x and y of each cell of a grid to the moments.
 
     Args:
         contact: Column and row of the contact [bins].

@@ -76,7 +76,7 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
-        context: What the latest frame adds to `increment_hidden`, bias included.
+        context: Contribution of the latest frame to `increment_hidden`, bias included.
         response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
             slow increments that complete half a reversal [N]. See `EventResponse`.
         increments: Sums of the slow and of the fast increments of the network [N], and the

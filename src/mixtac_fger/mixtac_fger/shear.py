@@ -39,7 +39,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 NEWTONS: Final = (1.0, 1.0, 1e-3)
-"""Units of what the network computes: newtons, and newton millimetres for the torque."""
+"""Units of the output of the network: newtons, and newton millimetres for the torque."""
 
 
 class Shear(NamedTuple):
@@ -65,7 +65,7 @@ class Shear(NamedTuple):
 
 
 PER_EVENT: Final = 0.4
-"""Displacement that frames show per displacement per contrast threshold by events."""
+"""Displacement in frames over displacement per contrast threshold from events."""
 
 
 class Shown(NamedTuple):
@@ -73,8 +73,8 @@ class Shown(NamedTuple):
 
     Attributes:
         value: Force to the right and upwards [N], torque [N mm]; float64 [3].
-        per_flow: What a flow of one pixel per contrast threshold, x and y, in each cell of the
-            event grid adds to `value`; float64 [3, grid rows, grid columns, 2].
+        per_flow: Change of `value` by a flow of one pixel per contrast threshold, x and y, in each
+            cell of the event grid; float64 [3, grid rows, grid columns, 2].
     """
 
     value: F64
@@ -138,7 +138,7 @@ class ShearHead:
         self._found = np.zeros((2, 3))
 
     def measure(self, feature: F32) -> Shown:
-        """Return what a frame shows.
+        """Return the measurement of a frame.
 
         Args:
             feature: f_frame, float32 [feature_size].
@@ -154,7 +154,7 @@ class ShearHead:
         return Shown(value, np.tensordot(per_moment * self._per_moment, self._cells, 1))
 
     def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
-        """Take what a frame showed.
+        """Correct the value by the measurement of a frame.
 
         Args:
             shown: Of `measure`.

@@ -168,7 +168,7 @@ class ForceEstimator:
 
     @property
     def frame_problem(self) -> str:
-        """What was wrong with the latest frame that the frame thread refused; empty for none."""
+        """Fault of the latest frame that the frame thread rejected; empty if there was none."""
         return '' if self._worker is None else self._worker.problem
 
     @property
@@ -388,7 +388,7 @@ class ForceEstimator:
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
     def _fetch(self) -> None:
-        """Take what the frame thread has finished."""
+        """Process the results of the frame thread."""
         if self._worker is not None:
             self._keep(self._worker.results())
 

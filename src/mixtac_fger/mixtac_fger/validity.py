@@ -257,7 +257,7 @@ class Validity:
         self.skip()
 
     def skip(self) -> None:
-        """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
+        """Go on after a hole in the stream: reported faults remain until they are resolved."""
         self._before: tuple[int, F32] | None = None
         self._ends = np.full(KEPT_WINDOWS, -1, np.int64)
         self._net = np.zeros((KEPT_WINDOWS, 1, 1), np.int8)
@@ -265,7 +265,7 @@ class Validity:
 
     @property
     def reason(self) -> Reason:
-        """Why not, by the latest frames and windows; `TRUSTED` if nothing was found."""
+        """Reason not to trust the force, from the latest frames and windows; else `TRUSTED`."""
         return min(self._held) if self._held else Reason.TRUSTED
 
     def window(self, end_us: int, events: Events, *, complete: bool) -> None:
@@ -304,7 +304,7 @@ class Validity:
         self._held |= dict.fromkeys(found, HOLD_FRAMES)
 
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
-        """Return what a frame and the events since the frames before it contradict."""
+        """Return the checks that a frame and the events since the previous frames fail."""
         before, self._before = self._before, (mid_us, contrast)
         if before is None:
             self._net = np.zeros((KEPT_WINDOWS, *contrast.shape), np.int8)

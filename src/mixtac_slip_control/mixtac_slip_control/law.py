@@ -151,7 +151,7 @@ class Phase(Enum):
     SLIP = auto()
     """Answers a slip."""
     HOLD = auto()
-    """Completes the answer where the stiffness allows more, and holds it."""
+    """Completes the response where the stiffness allows more, and holds it."""
     RETURN = auto()
     """Returns to the force of the press."""
 
@@ -171,7 +171,7 @@ FASTEST_KEEP: Final = 5e-4
 BAND: Final = 0.04
 """Share by which the force may fall below the goal before it is restored."""
 SLIP_RATIO: Final = 1.4
-"""Least ratio of the force that answers a slip to the force at enabling."""
+"""Smallest ratio of the force after a slip response to the force at enabling."""
 PATIENCE_S: Final = 0.03
 """Time of a slip after which its answer is raised, if the press has measured the stiffness [s]."""
 PRESSED: Final = 1.05
@@ -179,13 +179,13 @@ PRESSED: Final = 1.05
 RAISE_RATE: Final = 5.0
 """Rate of that raise [N/s], up to the usable force."""
 HOLD_S: Final = 0.3
-"""Time without slip for which the answer is held [s]."""
+"""Time without slip for which the response is held [s]."""
 RETURN_SPEED: Final = 2e-5
 """Speed of the return [m/s]."""
 
 
 class StepLaw:
-    """Presses ahead, answers a slip by one bounded step, holds, and returns.
+    """Presses in advance, responds to a slip with one bounded step, holds, and returns.
 
     Args:
         start: Force at enabling [N].

@@ -123,8 +123,8 @@ FORGET_S: Final = 5.0
 class SafetyWatch:
     """Remembers when each input last arrived and what was wrong with it.
 
-    Every time is on one steady host clock [s]. A value that is not a number is refused and counts
-    as not received; what is wrong with the latest one stays on record until a good one arrives.
+    Every time is on one steady host clock [s]. A value that is not a number is rejected and counts
+    as not received. Its fault is kept until a valid value arrives.
 
     Args:
         parameters: Returns law and largest force.

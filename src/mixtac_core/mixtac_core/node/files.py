@@ -31,7 +31,7 @@ T = TypeVar('T')
 
 
 class FileError(MixtacError):
-    """A file that cannot be read or written, or whose content is not what it should be."""
+    """A file that cannot be read or written, or whose content is invalid."""
 
 
 _PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,199}')
@@ -90,8 +90,8 @@ def writable(path: Path | None) -> Path | None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
 
-    Makes the parent folder. When the block raises, `path` keeps what it held. A link stays one: the
-    file that it leads to is replaced.
+    Makes the parent folder. When the block raises, the content of `path` is unchanged. If `path` is
+    a link, the file that it leads to is replaced.
 
     Raises:
         FileError: The file cannot be written.

@@ -180,7 +180,7 @@ def sensor_graph(
 
 
 def node(where: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
-    """Return the node of the module `<name>_node` of a package; options as of `NodeSpec`."""
+    """Return the node of the module `<name>_node` of a package; options as in `NodeSpec`."""
     return NodeSpec(f'{where}.{name}_node', name, **options)
 
 

@@ -80,7 +80,7 @@ CONTACT_FRAME = 'mixtac_contact'
 
 
 def frame_prefix(namespace: str) -> str:
-    """Return what the names of the frames of a sensor begin with: nothing in the default one."""
+    """Return the prefix of the frame names of a sensor: nothing in the default one."""
     name = namespace.strip('/').replace('/', '_')
     return '' if name in {'', DEFAULT_NAMESPACE} else f'{name}_'
 

@@ -149,7 +149,7 @@ class Aedat4Recording:
         return info
 
     def _received(self) -> Any:  # noqa: ANN401
-        """Return what the process sent next.
+        """Return the next message of the process.
 
         Raises:
             RecordingError: What the process found, or it stands still or has crashed.

@@ -203,7 +203,7 @@ class BagRecording:
         return found
 
     def _on_host_clock(self, start_us: int, apart_us: int) -> bool:
-        """Return whether what is beside the events has stamps of the host, not of their clock."""
+        """Return whether data other than events are stamped on the host clock."""
         beside = self._images or self._imu
         if beside is None or abs(apart_us) <= OTHER_CLOCK_US:
             return False

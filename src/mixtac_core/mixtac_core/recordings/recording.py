@@ -222,7 +222,7 @@ class ReadCounters:
     other_words: int = 0
 
     def warnings(self) -> list[str]:
-        """Return what is missing, a line each."""
+        """Return the missing parts, one line for each."""
         texts = {
             'packets_missing': 'packets missing',
             'events_outside': 'events outside of the sensor left out',

@@ -252,7 +252,7 @@ class Tables:
 
 
 def open_tables(path: Path, name: str = 'events', group: str = '') -> Tables | None:
-    """Return the tables of a path; None for an AEDAT4 file, a bag or what is no table.
+    """Return the tables of a path; None for AEDAT4, a bag, or a file that is no table.
 
     Args:
         path: File or folder.

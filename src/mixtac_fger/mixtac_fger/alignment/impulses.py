@@ -208,7 +208,7 @@ MOST_IMPULSES: Final = 24
 MATCH_S: Final = 0.02
 """Largest disagreement of a burst and a force peak that are the same tap [s]."""
 RIVAL: Final = 0.8
-"""A second map that explains this part of what the best explains makes the answer ambiguous."""
+"""If a second map explains this share of what the best map explains, the result is ambiguous."""
 
 
 @dataclass(frozen=True, slots=True)

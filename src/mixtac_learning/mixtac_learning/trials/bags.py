@@ -175,7 +175,7 @@ class BagSource:
     shown: str = ''
 
     def damage(self) -> str:
-        """Return what is missing of the bag; empty for a sound one.
+        """Return the missing parts of the bag; empty if it is complete.
 
         Raises:
             RecordingError: Nothing of it can be read.
@@ -190,7 +190,7 @@ class BagSource:
 
     @property
     def origin(self) -> dict[str, Any]:
-        """The bag's path and what is known of it."""
+        """Path and known properties of the bag."""
         return {'bag': str(self.path)} | self.described | {'name': self.name}
 
     def content_key(self) -> str:

@@ -314,7 +314,7 @@ class Grasp:
         return self._seen(contact, path, patches)
 
     def _go_on(self, contact: ContactPath) -> GraspBlock:
-        """Move the object by what the contact allows, and look at the skin."""
+        """Move the object as far as the contact allows, and evaluate the skin."""
         normal = contact.force_n
         count = len(normal)
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))

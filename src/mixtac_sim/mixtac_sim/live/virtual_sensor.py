@@ -89,7 +89,7 @@ class SimulationClock:
 
 
 PERIOD_S: Final = 0.002
-"""Period in which data are handed over [s]: on two cores, waking the reader more often costs more
+"""Period in which data are output [s]: on two cores, waking the reader more often costs more
 than reading."""
 CHUNK_US: Final = 4000
 """Simulated time of one call of the simulation [us]."""
@@ -247,7 +247,7 @@ class VirtualSensor:
         return self._simulated_us + 2 * CHUNK_US
 
     def time_ns(self) -> int:
-        """Return the time up to which everything was handed over; it never runs backwards.
+        """Return the time up to which all data were output; it never runs backwards.
 
         Returns:
             Host time at the start, plus simulated time since [ns since the Unix epoch].

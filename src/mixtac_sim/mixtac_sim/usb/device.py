@@ -153,7 +153,7 @@ class VirtualDavis346:
             timeout_s: Longest wait of the host [s]; None waits without limit.
 
         Returns:
-            The answer, empty for requests to the device.
+            The response; empty for requests to the device.
 
         Raises:
             UsbStall: The device does not know the request or refuses its content.
