@@ -275,7 +275,7 @@ class LiveProcedure:
             try:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
-                raise GraphError('there is no Enter key here', remedy='give --yes') from error
+                raise GraphError('no terminal to read Enter from', remedy='give --yes') from error
         self._wait('still and free', PRESS, _still)
         self._monitor.trigger('fger/tare')
         # The estimate starts over: earlier forces belong to another zero.

@@ -167,7 +167,7 @@ def sensor_graph(
         nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
     elif driver:
         raise GraphError(
-            f'{next(iter(driver))} is for a driver, which device {NO_DRIVER} leaves out',
+            f'{next(iter(driver))} is for a driver, but device {NO_DRIVER} starts none',
             remedy='name a device, or leave it out',
         )
     if slip is not None:

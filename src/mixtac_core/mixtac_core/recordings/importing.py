@@ -58,7 +58,7 @@ def import_recording(
 
     Raises:
         RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, forces
-            on the camera's clock have no time in common with its data, or the bag exists.
+            on the camera's clock do not overlap its data in time, or the bag exists.
         FileError: The bag cannot be written.
     """
     options = options or TableOptions()

@@ -306,7 +306,7 @@ def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> 
             judged.skipped[source.name] = str(error)
     if not judged.estimates:
         first = next(iter(judged.skipped.values()), 'there are none')
-        raise DatasetError(f'none of {len(judged.skipped)} trials can be judged: {first}')
+        raise DatasetError(f'none of {len(judged.skipped)} trials can be evaluated: {first}')
     return judged
 
 

@@ -318,7 +318,7 @@ def run_evaluation(
 
     Raises:
         ModelError: The weight file cannot be used.
-        DatasetError: No trial can be judged.
+        DatasetError: No trial can be evaluated.
         FileError: A file cannot be written.
     """
     model = read_model(path)

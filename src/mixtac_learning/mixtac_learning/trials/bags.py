@@ -68,7 +68,7 @@ def host_to_camera_us(
         DatasetError: There are no pairs.
     """
     if not pairs:
-        raise DatasetError('no camera_clock in the bag, on which a host time could be placed')
+        raise DatasetError('the bag has no camera_clock, so host times cannot be converted')
     table = np.array(pairs, np.int64)
     since = (host_ns - table[0, 0]) / 1000.0
     host, ahead = (table[:, 0] - table[0, 0]) / 1000.0, (table[:, 1] - table[:, 0]) / 1000.0
