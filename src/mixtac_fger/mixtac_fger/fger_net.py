@@ -123,17 +123,17 @@ def checked_config(model: Model) -> FgerConfig:
 class Vibration:
     r"""Recognises a force that vibrates, and follows its mean by frames.
 
-    The force vibrates where the sum of the increments turned back `TURNS` times by `SWING_N` or
-    more within the latest `SPAN` windows, until fewer than `TURNS_LEFT` turns are left or there was
-    none in `QUIET` windows: 50 Hz turn twelve times, and rebounds have rest between them. Then the
-    output is
+    A vibration begins when the sum of the increments has reversed `TURNS` times by `SWING_N` or
+    more within the latest `SPAN` windows. It ends when fewer than `TURNS_LEFT` reversals are left,
+    or when there was none in `QUIET` windows. A vibration of 50 Hz reverses twelve times; rebounds
+    have rest between them. During a vibration the output is
 
     .. math:: f_t = F_t + o, \quad o \leftarrow o + k (F_{frame} - \bar F - o),
 
     where the mean is over the exposure; k is 1 for the first frame and `SHARE` for each after it.
-    The deviation follows the phase of a vibration, but not the error: it is at least its mean over
-    a frame interval, and what frames differ by adds to it. The constants are from 40 simulated
-    trials of 5 s (vibrations, blows, and without either).
+    The deviation follows the phase of the vibration, but the error does not. The reported deviation
+    is therefore at least its mean over a frame interval, and the difference to the frames adds to
+    it. The constants are from 40 simulated trials of 5 s (vibrations, blows, and without either).
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.

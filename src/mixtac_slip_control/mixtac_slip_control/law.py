@@ -55,13 +55,13 @@ def stiffening(from_n: float, to_n: float) -> float:
 
 
 class Contact:
-    """Force of the contact as f + k x over the advance x, by recursive least squares.
+    """Model f + k x of the contact force over the advance x, fitted by recursive least squares.
 
     Attributes:
         force: f, force at advance zero [N].
         stiffness: k [N/m].
         present: Expected force at the advance of the latest measured one [N].
-        seen: Forces that were used.
+        seen: Number of forces used.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Contact:
         self.restart(0.0)
 
     def restart(self, advance: float) -> None:
-        """Count advances from here on, and forget the stiffness."""
+        """Make an advance the new zero, and reset the stiffness."""
         if self.seen:
             self.force = self.at(advance)
         self.stiffness = PRIOR
@@ -142,7 +142,7 @@ def paper_advance(count: int, threshold: float, gain: float) -> float:
 
 
 class Phase(Enum):
-    """What `StepLaw` does."""
+    """The phases of `StepLaw`."""
 
     PRESS = auto()
     """Presses towards `grip_margin`, and learns the stiffness."""
@@ -192,7 +192,7 @@ class StepLaw:
 
     Attributes:
         phase: Present phase.
-        goal: Force that it presses for or keeps [N].
+        goal: Target force of the press or of the hold [N].
     """
 
     def __init__(self, start: float) -> None:
@@ -264,7 +264,7 @@ class StepLaw:
 
 
 class AdvanceLaw:
-    """Owns the wanted advance: runs the chosen law within the bound of the force.
+    """Computes the wanted advance by the chosen law, and limits it by the force.
 
     Args:
         parameters: Returns law, ratios and limits.
