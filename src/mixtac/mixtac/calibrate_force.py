@@ -183,7 +183,7 @@ def lead_live(
     yes: bool,
     **procedure: Any,  # noqa: ANN401
 ) -> Session:
-    """Start a sensor, lead through the loads, stop the sensor.
+    """Start a sensor, guide the user through the loads, and stop the sensor.
 
     Args:
         console: Where to prompt.
@@ -220,11 +220,11 @@ def parse_loads(text: str, sd_grams: float) -> list[Load]:
     """Return the loads of a text like `20,50,100`, in grams.
 
     Args:
-        text: Masses by commas [g].
+        text: Masses, separated by commas [g].
         sd_grams: Standard uncertainty of each [g].
 
     Raises:
-        ForceCalibrationError: One is no number above 0.
+        ForceCalibrationError: A mass is not a number above 0.
     """
     try:
         grams = [float(part) for part in text.split(',')]
@@ -238,7 +238,7 @@ def parse_loads(text: str, sd_grams: float) -> list[Load]:
 
 
 def _checked(content: Model, path: Path, out: Path | None, *, check: bool, sideways: bool) -> float:
-    """Refuse what could only fail after the procedure; return the card's relative uncertainty."""
+    """Check all options before the procedure; return the relative uncertainty in the card."""
     config = checked_config(content)
     if sideways and (check or not config.shear):
         why = 'is checked by its normal force alone' if check else 'gives no sideways force'
@@ -320,7 +320,7 @@ def _check(
     """Print whether a calibrated sensor still reads known loads.
 
     Raises:
-        ForceCalibrationError: It does not.
+        ForceCalibrationError: The sensor does not.
     """
     checks = []
     for load, plateau in zip(session.loads, session.plateaus, strict=True):
@@ -354,7 +354,7 @@ def draw(
         path: File to write; its suffix gives the format.
         session: Series and plateaus.
         calibration: The fit.
-        entry: Its entry in the card.
+        entry: Entry of the fit in the model card.
 
     Raises:
         FileError: The picture cannot be written.

@@ -86,7 +86,7 @@ class RestThreshold:
 
 
 class CountDetector(RestThreshold):
-    """The detector of the paper: slip where N_t > N_th.
+    """The detector of the paper: slip if N_t > N_th.
 
     Attributes:
         limit: N_th; 0 until learned.
@@ -104,13 +104,14 @@ class CountDetector(RestThreshold):
 
 
 class FlowDetector:
-    """Decides by the translation of the skin; lengths are in px per contrast threshold.
+    """Detects slip by the translation of the skin; lengths are in px per contrast threshold.
 
-    Without a frame there is no translation: such windows are quiet and are not learned from.
+    Without a frame there is no translation: such windows count as quiet and are not used for
+    learning.
 
     Attributes:
-        flow: Translation in the latest window, or the share of the slow sum where that is higher; 0
-            where the events do not agree on one.
+        flow: Translation in the latest window, or the share of the slow sum if that is higher; 0 if
+            the events do not agree on a translation.
         threshold: Threshold of `flow` in the latest window.
         moves: Whether the events of the latest window agree on a motion of the skin.
         slipping: Whether the latest window slipped; a slip ends after some quiet windows.
@@ -176,7 +177,7 @@ class Detectors:
     """Runs both detectors and lets them learn at rest.
 
     Args:
-        parameters: Returns law, and smallest translation of a slip.
+        parameters: Returns the law, and the smallest translation of a slip.
 
     Attributes:
         count: The detector of the paper, which decides under the law `paper`.
@@ -204,7 +205,7 @@ class Detectors:
         """Return whether the object slips; until they are learned, learn from the window instead.
 
         Args:
-            window: The next window. A change of light is no slip.
+            window: The next window. A change of light is not a slip.
             advance_m: Commanded motion of the arm within it [m].
         """
         if window.light:
