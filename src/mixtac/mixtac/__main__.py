@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac`, and `python -m mixtac`: Ctrl-C ends both with one line, during imports too."""
+"""Entry point of `mixtac` and `python -m mixtac`; Ctrl-C ends them with one line at any time."""
 
 from __future__ import annotations
 

@@ -67,10 +67,10 @@ def calibrate(
         ),
     ] = 0.0,
     name: Annotated[
-        str, typer.Option(help='Name of the camera, as camera_name of the driver.')
+        str, typer.Option(help='Name of the camera, as in camera_name of the driver.')
     ] = CAMERA_NAME,
     out: Annotated[
-        OptionalPath, typer.Option(help='File to write; by default where the driver reads it.')
+        OptionalPath, typer.Option(help='File to write; by default the file that the driver reads.')
     ] = None,
     json: JsonFile = None,
 ) -> None:

@@ -67,39 +67,39 @@ def calibrate_force(
     loads: Annotated[
         str,
         typer.Option(
-            help='Loads (g) in their order, such as 20,50,100. If empty, a reference force sensor '
-            'is used if one publishes, else 20,50,100 (50 with --check).'
+            help='Loads (g) in the order of application, such as 20,50,100. If empty, a reference '
+            'force sensor is used if one publishes, else 20,50,100 (50 with --check).'
         ),
     ] = '',
     sideways_loads: Annotated[
         str,
         typer.Option(
-            help='Loads (g) on a thread that pull the largest of the others aside, such as 20, for '
-            'the sideways force. They are in the last contact of a recording.'
+            help='Loads (g) on a thread, such as 20, that pull the largest other load sideways, '
+            'for the sideways force. In a recording, they are in the last contact.'
         ),
     ] = '',
     scale: Annotated[
         bool,
-        typer.Option('--scale', help='Press until a kitchen scale shows the grams: no weights.'),
+        typer.Option('--scale', help='Without weights: press until a kitchen scale shows a load.'),
     ] = False,
     load_sd: Annotated[
         Optional[float],  # noqa: UP045  (typer evaluates this under Python 3.10)
         typer.Option(min=0, help='Standard uncertainty of a load (g); 1, or 2 with --scale.'),
     ] = None,
     model: Annotated[
-        str, typer.Option(help='Model to calibrate: a weight file or the name of a shipped one.')
+        str, typer.Option(help='Model to calibrate: weight file, or name of a shipped model.')
     ] = DEFAULT_MODEL,
     out: Annotated[
-        OptionalPath, typer.Option(help='Weight file to write (.safetensors), with a card.')
+        OptionalPath, typer.Option(help='Weight file (.safetensors) to write, with a model card.')
     ] = None,
-    gel: Annotated[str, typer.Option(help='Name of the gel, for the card.')] = '',
+    gel: Annotated[str, typer.Option(help='Name of the gel, for the model card.')] = '',
     check: Annotated[
         bool,
         typer.Option('--check', help='Check a calibrated --model with known loads; write nothing.'),
     ] = False,
     bag: Annotated[
         OptionalPath,
-        typer.Option(help='Recording of the procedure instead of a live sensor.', exists=True),
+        typer.Option(help='Recording of the procedure to use instead of a sensor.', exists=True),
     ] = None,
     yes: Annotated[
         bool,
@@ -111,7 +111,7 @@ def calibrate_force(
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
 ) -> None:
-    """Calibrate the force of a sensor by weights or a kitchen scale; no force sensor needed."""
+    """Calibrate the force of a sensor with weights or a kitchen scale, without a force sensor."""
     start = find_model(model)
     content = read_model(start)
     relative_sd = _checked(content, start, out, check=check, sideways=bool(sideways_loads))
@@ -183,7 +183,7 @@ def lead_live(
     yes: bool,
     **procedure: Any,  # noqa: ANN401
 ) -> Session:
-    """Start a sensor, lead through the loads, stop the sensor.
+    """Start a sensor, guide the user through the loads, and stop the sensor.
 
     Args:
         console: Where to prompt.
@@ -195,7 +195,7 @@ def lead_live(
         procedure: Arguments of `LiveProcedure.lead`.
 
     Raises:
-        ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+        ForceCalibrationError: The measured loads do not allow a calibration.
         GraphError: A node failed.
     """
     from mixtac.monitor_node import Monitor
@@ -220,11 +220,11 @@ def parse_loads(text: str, sd_grams: float) -> list[Load]:
     """Return the loads of a text like `20,50,100`, in grams.
 
     Args:
-        text: Masses by commas [g].
+        text: Masses, separated by commas [g].
         sd_grams: Standard uncertainty of each [g].
 
     Raises:
-        ForceCalibrationError: One is no number above 0.
+        ForceCalibrationError: A mass is not a number above 0.
     """
     try:
         grams = [float(part) for part in text.split(',')]
@@ -238,7 +238,7 @@ def parse_loads(text: str, sd_grams: float) -> list[Load]:
 
 
 def _checked(content: Model, path: Path, out: Path | None, *, check: bool, sideways: bool) -> float:
-    """Refuse what could only fail after the procedure; return the card's relative uncertainty."""
+    """Check all options before the procedure; return the relative uncertainty in the card."""
     config = checked_config(content)
     if sideways and (check or not config.shear):
         why = 'is checked by its normal force alone' if check else 'gives no sideways force'
@@ -320,7 +320,7 @@ def _check(
     """Print whether a calibrated sensor still reads known loads.
 
     Raises:
-        ForceCalibrationError: It does not.
+        ForceCalibrationError: The sensor does not.
     """
     checks = []
     for load, plateau in zip(session.loads, session.plateaus, strict=True):
@@ -354,7 +354,7 @@ def draw(
         path: File to write; its suffix gives the format.
         session: Series and plateaus.
         calibration: The fit.
-        entry: Its entry in the card.
+        entry: Entry of the fit in the model card.
 
     Raises:
         FileError: The picture cannot be written.

@@ -290,7 +290,7 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         `rmse_n`: Root mean square error of the same samples.
         `mae_uncalibrated_n`: Mean absolute error of the same samples without the calibration.
         `constant_mae_n`: Error of the best constant guess on the same samples.
-        `reference_zero_n`: What the reference showed without a load, before and after [N].
+        `reference_zero_n`: Reading of the reference without a load, before and after [N].
         `clock_drift_ppm`: Drift of the reference clock found by the alignment.
         `aligned_by`: Method of the alignment.
         `event_rate_mev_s`: Mean event rate.

@@ -54,7 +54,7 @@ def doctor(
         str, typer.Option(help='Serial number of the camera, if several are attached.')
     ] = '',
     seconds: Annotated[
-        float, typer.Option(min=0.5, max=600, help='How long to measure the camera (s).')
+        float, typer.Option(min=0.5, max=600, help='Duration of the measurement of the camera (s).')
     ] = 3.0,
     json: JsonFile = None,
     bundle: Annotated[

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac export | import | inspect | repair`: recordings as other files, and their contents."""
+"""`mixtac export | import | inspect | repair`: convert, list and repair recordings."""
 
 from __future__ import annotations
 
@@ -31,27 +31,25 @@ EventsOf = Annotated[
     str,
     typer.Option(
         '--events',
-        help='Topic of events, where there are several; camera of an AEDAT4 file; group of an HDF5'
-        ' file. none leaves events out.',
+        help='Topic of events, if there are several; camera in an AEDAT4 file; group in an HDF5'
+        ' file. none omits the events.',
     ),
 ]
-ImageOf = Annotated[str, typer.Option('--image', help='Topic of frames; none leaves them out.')]
-ImuOf = Annotated[
-    str, typer.Option('--imu', help='Topic of inertial samples; none leaves them out.')
-]
+ImageOf = Annotated[str, typer.Option('--image', help='Topic of frames; none omits them.')]
+ImuOf = Annotated[str, typer.Option('--imu', help='Topic of inertial samples; none omits them.')]
 
 TimeUnit = Annotated[
     str,
     typer.Option(
-        help='Unit of camera times where the file states none: ns, us, ms or s; empty: us, of whole'
-        ' numbers.'
+        help='Unit of camera times if the file states none: ns, us, ms or s. Empty: us; times must'
+        ' then be whole numbers.'
     ),
 ]
 Size = Annotated[
     str,
     typer.Option(
-        help='Width x height of the camera in pixels, as 346x260, where the file does not state it;'
-        ' empty: as its frames.'
+        help='Width and height of the camera in pixels, such as 346x260, if the file does not state'
+        ' them. Empty: size of the frames.'
     ),
 ]
 
@@ -108,12 +106,12 @@ def import_(
     ] = None,
     same_clock: Annotated[
         bool,
-        typer.Option('--same-clock', help='The forces are stamped on the clock of the camera.'),
+        typer.Option('--same-clock', help='The forces are stamped on the camera clock.'),
     ] = False,
     time_unit: TimeUnit = '',
     force_unit: Annotated[
         str,
-        typer.Option(help='Unit of the times of forces where the file states none; empty: s.'),
+        typer.Option(help='Unit of the times of forces if the file states none; empty: s.'),
     ] = '',
     size: Size = '',
     profile: Annotated[
@@ -124,7 +122,7 @@ def import_(
     image: ImageOf = '',
     imu: ImuOf = '',
 ) -> None:
-    """Make a bag of events, frames and forces in other files: csv, NPZ, HDF5, AEDAT4."""
+    """Make a bag from events, frames and forces in CSV, NPZ, HDF5 or AEDAT4 files."""
     options = TableOptions(time_unit, force_unit, _size(size))
     if profile or split:
         read_recordings(out.absolute().parent / FILE_NAME)
@@ -181,7 +179,7 @@ def inspect(
     time_unit: TimeUnit = '',
     size: Size = '',
     formats: Annotated[
-        bool, typer.Option('--formats', help='List the file formats that are read, and others.')
+        bool, typer.Option('--formats', help='List known file formats; not all can be read.')
     ] = False,
 ) -> None:
     """List the topics of a recording, read all of it, decode the events and count lost packets.
@@ -218,7 +216,7 @@ def repair(
     recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap or .db3.')],
     out: Annotated[Path, typer.Option(help='New folder for the repaired bag.')],
 ) -> None:
-    """Write what is whole of a damaged bag as a new one, and report what is missing.
+    """Write the intact part of a damaged bag to a new bag, and report what is missing.
 
     The new bag is in MCAP with an index, checksums and metadata.yaml.
     """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What became of an object that was struck: in words, and as a picture of all impacts."""
+"""Results of the impacts on a held object: as text, and as a figure of all impacts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Impact:
 
     @property
     def moved_mm(self) -> float:
-        """How far the object was down at most since the impact [mm]."""
+        """Largest downward displacement of the object since the impact [mm]."""
         return max((place - self.start_mm for _, place in self.places), default=0.0)
 
     @property
@@ -55,7 +55,7 @@ class Impact:
         return self.moved_mm <= FALLEN_MM
 
     def words(self) -> str:
-        """Return what happened."""
+        """Return the result of the impact as text."""
         seen = 'detected' if self.detected_s is not None else 'not detected'
         end = f'the object moved {self.moved_mm:.2f} mm and is held'
         if not self.held:

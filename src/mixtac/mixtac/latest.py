@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The latest value of a stream and the ways to read it, named as those of LeRobot's cameras."""
+"""The latest value of a stream; its read methods have the names of LeRobot's cameras."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mixtac_core.events.errors import MixtacError
 
 T = TypeVar('T')
 LONG_MS = 60_000
-"""A virtual sensor takes some seconds to its first force, a minute where it is compiled first."""
+"""A virtual sensor needs some seconds to its first force, or a minute if it is compiled first."""
 LOOK_S = 0.1
-"""Longest time after which a waiting reader notices that the source has ended [s]."""
+"""Longest time until a waiting reader notices that the source has ended [s]."""
 
 
 class SensorError(MixtacError):
@@ -39,12 +39,12 @@ class StaleReadingError(SensorError, TimeoutError):
 
 
 class Latest(Generic[T]):
-    """Keeps the latest value; one thread puts, any threads read.
+    """Keeps the latest value; one thread writes it, any number of threads read it.
 
     Args:
         what: Name of a value, for messages.
-        check: Raises where no value can be expected any more.
-        reason: Returns why there is none at the moment; empty if unknown.
+        check: Raises an error if no further value can arrive.
+        reason: Returns why there is no value at the moment; empty if unknown.
     """
 
     def __init__(self, what: str, check: Callable[[], None], reason: Callable[[], str]) -> None:
@@ -75,13 +75,13 @@ class Latest(Generic[T]):
 
         Raises:
             NotOpenError: The sensor is closed.
-            ReadTimeoutError: There was none in time.
+            ReadTimeoutError: No value arrived in time.
             MixtacError: The source has ended or failed.
         """
         return self._newer_than(self._count, timeout_ms)
 
     def async_read(self, timeout_ms: float = 200) -> T:
-        """Return the latest value that no `async_read` has returned; wait for it if need be.
+        """Return the latest value that no `async_read` has returned; wait for it if necessary.
 
         Arguments and errors as in `read`.
         """
@@ -91,12 +91,12 @@ class Latest(Generic[T]):
         """Return the latest value at once; the next call may return the same.
 
         Args:
-            max_age_ms: Greatest time since it was made [ms].
+            max_age_ms: Greatest age of the value [ms].
 
         Raises:
             NotOpenError: The sensor is closed.
-            NoReadingError: There was none yet.
-            StaleReadingError: It is older.
+            NoReadingError: No value has arrived yet.
+            StaleReadingError: The value is older than that.
             MixtacError: The source has ended or failed.
         """
         self._check()

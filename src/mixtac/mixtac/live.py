@@ -33,8 +33,8 @@ def show(
 
     Args:
         console: Where to show them.
-        doing: Returns what the sensor does at the moment. Called several times a second; its
-            errors end the table.
+        doing: Returns the present state of the sensor. Called several times a second; its errors
+            end the table.
         values: Returns what to show, by name: forces [N], drawn over time, and texts.
     """
     terminal, due_s = console.is_terminal, time.monotonic()

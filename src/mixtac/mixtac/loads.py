@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plateaus of known loads, from a recording or on a live sensor, for `mixtac calibrate-force`.
 
-`mixtac_fger.force_calibration` defines what a plateau is, and refuses those that cannot be used.
+`mixtac_fger.force_calibration` defines plateaus, and rejects those that cannot be used.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ T = TypeVar('T')
 
 @dataclass
 class Session:
-    """What a calibration has found.
+    """Measurements of a calibration.
 
     Attributes:
         t_s: Times of the force series [s].
         force_n: Estimates before the calibration [N].
         loads: Known loads.
         plateaus: Plateau of each load.
-        pull_loads: Known pulls aside.
-        pulls: Plateau of each pull.
+        pull_loads: Known sideways loads.
+        pulls: Plateau of each sideways load.
         serial: Serial number of the camera, empty while unknown.
         known_by: `weights`, `scale` or `reference`.
         doubts: Warnings for the user.
@@ -94,12 +94,12 @@ def from_bag(
     Args:
         path: Bag or AEDAT4 file that begins and ends without a load.
         model: Model that estimates its forces.
-        loads: Loads in their order.
+        loads: Loads in order of application.
         reference: Topic of a reference force to use instead if the bag has it; empty for none.
-        pulls: Pulls aside in their order, all in the last contact; empty for none.
+        pulls: Sideways loads in order, all in the last contact; empty for none.
 
     Raises:
-        MixtacError: The recording cannot be read, or the sensor cannot be calibrated by it.
+        MixtacError: The recording cannot be read, or does not allow a calibration.
     """
     from mixtac_core.recordings.camera_stream import open_recording
 
@@ -168,9 +168,9 @@ def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F6
 def _bag_facts(
     path: Path, recording: Recording, start_us: int, reference: str
 ) -> tuple[str, tuple[F64, F64] | None]:
-    """Return the camera's serial number, and times [s] and forces [N] of the reference, if any.
+    """Return the serial number of the camera, and times [s] and forces [N] of any reference.
 
-    Forces are the normal one, x and y, [T, 3].
+    The forces are the normal force and the forces along x and y, [T, 3].
     """
     from mixtac_core.node.topics import CAMERA_CLOCK, normal_force, sideways_force
     from mixtac_core.recordings.bag import BagFile
@@ -213,7 +213,7 @@ class LiveProcedure:
         console: Where to prompt.
         monitor: Listens to the sensor.
         yes: Do not wait for the Enter key.
-        drives: The sensor is a virtual one, which this operates.
+        drives: Whether the sensor is virtual and operated by this procedure.
     """
 
     def __init__(
@@ -234,12 +234,12 @@ class LiveProcedure:
 
         Args:
             loads: Loads to ask for.
-            pulls: Pulls aside to ask for afterwards, under the largest of the loads.
+            pulls: Sideways loads to ask for afterwards, under the largest of the loads.
             known: Use these loads even where a reference sensor measures them.
             scale: A kitchen scale shows the load.
 
         Raises:
-            ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+            ForceCalibrationError: The measured loads do not allow a calibration.
             GraphError: A node failed.
         """
         session = Session(loads=loads, pull_loads=pulls)
@@ -275,7 +275,7 @@ class LiveProcedure:
             try:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
-                raise GraphError('there is no Enter key here', remedy='give --yes') from error
+                raise GraphError('no terminal to read Enter from', remedy='give --yes') from error
         self._wait('still and free', PRESS, _still)
         self._monitor.trigger('fger/tare')
         # The estimate starts over: earlier forces belong to another zero.
@@ -283,13 +283,13 @@ class LiveProcedure:
         return self._wait('zero', PRESS, _still)
 
     def _ask(self, prompt: str, gesture: str, **settings: float) -> None:
-        """Ask for a load, or let the virtual sensor make the gesture where it is operated."""
+        """Ask for a load, or apply it to a virtual sensor that is operated."""
         self._console.print(f'{prompt}, and keep still.')
         if self._drives:
             self._monitor.touch(gesture, hold=0.0, **settings)
 
     def _under(self, load: Load, rest: Stretch, kind: Kind) -> Plateau:
-        """Return the plateau of a load, measured from the rest before."""
+        """Return the plateau of a load, relative to the rest before it."""
 
         def plateau(stretch: Stretch) -> Plateau | None:
             found = plateau_of(stretch, rest, None, kind)
@@ -300,7 +300,7 @@ class LiveProcedure:
         return found
 
     def _off(self, plateaus: list[Plateau], under: Plateau, rest: Stretch, kind: Kind) -> Stretch:
-        """Add a plateau, measured from the rest before and after it; return the latter."""
+        """Add a plateau, relative to the rests before and after it; return the rest after it."""
         full = self._wait('rest', kind, lambda after: plateau_of(under.span, rest, after, kind))
         plateaus.append(full)
         return full.rests[-1]
@@ -309,7 +309,7 @@ class LiveProcedure:
         """Wait until `find` accepts a steady stretch from now on, and show the force meanwhile.
 
         Raises:
-            ForceCalibrationError: None was accepted in time.
+            ForceCalibrationError: No stretch was accepted in time.
             GraphError: No force arrives for `SILENCE_S`.
         """
         first = seen = self._count()

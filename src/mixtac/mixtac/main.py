@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The `mixtac` command line: which function stands behind each command.
+"""The `mixtac` command line, and the function of each command.
 
-A command is a function for typer. Its module is imported when the command runs or its help is
-printed, so that a short command does not wait for the imports of a long one.
+A command is a function for typer. Its module is imported only when the command runs or its help is
+printed, so that a fast command does not wait for the imports of a slow one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ INTERRUPTED = 130
 
 
 def show_version(asked: bool) -> None:
-    """Print the version and leave, if that is asked for."""
+    """Print the version and exit, if `--version` is given."""
     if asked:
         print(f'mixtac {version("mixtac")}')
         raise typer.Exit
@@ -38,7 +38,7 @@ def mixtac(
     _version: Annotated[
         bool,
         typer.Option(
-            '--version', is_eager=True, callback=show_version, help='Print the version and leave.'
+            '--version', is_eager=True, callback=show_version, help='Print the version and exit.'
         ),
     ] = False,
 ) -> None:
@@ -98,7 +98,7 @@ class Commands(TyperGroup):
         return list(filter(None, self.targets))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
-        """Return a command, None for an unknown one."""
+        """Return a command, or None if it is unknown."""
         target = self.targets.get(cmd_name) if cmd_name else None
         return target and make_command(cmd_name, target)
 
@@ -176,11 +176,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: Without the program's name; None for those of the process.
+        arguments: Arguments without the program name; None for those of the process.
 
     Returns:
-        Exit status: 0; 1 after an expected failure, with one line on stderr, or where what was
-        checked is not in order; 2 for wrong usage; 130 after Ctrl-C.
+        Exit status: 0; 1 after an expected failure, with one line on stderr, or if a check fails;
+        2 for wrong usage; 130 after Ctrl-C.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Counts what arrives on a topic and what is missing, and sums up a recording."""
+"""Count the received and the missing messages of a topic, and summarise a recording."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of the command line.
 
-`CommandNode` is the one node of a command. `Monitor` receives forces and diagnostics in a thread of
-its own, as any user's node would.
+`CommandNode` is the node of a command that uses ROS. `Monitor` receives forces and diagnostics in
+its own thread, as any user's node would.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ DEPTH: Final = 1000
 MOST_HZ: Final = 1100
 """Highest rate of forces and of the reference that `Monitor` keeps [Hz]."""
 LOG_PATIENCE_S: Final = 3.0
-"""Longest time until the log of a refusal arrives after its answer [s]."""
+"""Longest time from the response of a service that refuses to its log message [s]."""
 REPORT_PERIOD_S: Final = 10.0
-"""Time between two lines on what is waited for [s]."""
+"""Time between two progress lines while waiting [s]."""
 
 
 class CommandNode(BaseNode, Node):  # type: ignore[misc]
@@ -222,7 +222,8 @@ class Monitor(ExitStack):
 
         Args:
             done: Called often.
-            what: What is waited for; shown every ten seconds with the messages of the nodes.
+            what: Name of the awaited condition; shown every ten seconds with the messages of the
+                nodes.
 
         Raises:
             GraphError: A process has ended.

@@ -26,7 +26,7 @@ def check_namespace(value: str) -> str:
     """Return a ROS namespace, checked.
 
     Raises:
-        BadParameter: It has other characters, or is too long.
+        BadParameter: The namespace contains other characters, or is too long.
     """
     return _checked_name(value, 'namespace', _NAMESPACE.fullmatch(value) is not None)
 
@@ -35,7 +35,7 @@ def check_topic(value: str) -> str:
     """Return the name of a ROS topic, checked.
 
     Raises:
-        BadParameter: It is empty, too long, or has other characters.
+        BadParameter: The name is empty, too long, or contains other characters.
     """
     named = _NAMESPACE.fullmatch(value) is not None and bool(value.strip('/'))
     return _checked_name(value, 'topic', named)
@@ -50,7 +50,7 @@ def _checked_name(value: str, kind: str, valid: bool) -> str:
 
 
 def one_of(*names: str) -> Callable[[str], str]:
-    """Return a callback that takes one of some words only, and returns it in lower case."""
+    """Return a callback that accepts only the given words, and returns them in lower case."""
 
     def check(value: str) -> str:
         if value.lower() not in names:
@@ -71,7 +71,7 @@ ParamsFile = Annotated[
     typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),
 ]
 Split = Annotated[
-    str, typer.Option(help='train or test, for dataset.yaml.', callback=one_of('', *SPLITS))
+    str, typer.Option(help='Split in dataset.yaml: train, test.', callback=one_of('', *SPLITS))
 ]
 RunTime = Annotated[
     float, typer.Option('--seconds', min=0, help='Run time (s); 0 runs until Ctrl-C.')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that record: a listener that meters all topics, and the recorder node.
+"""Nodes that record: a listener that counts the messages of all topics, and the recorder node.
 
 The recorder node is for machines without `ros2 bag record`.
 """

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor as an object: force and pictures as they come, without ROS.
+"""A sensor as an object: the latest force and pictures, without ROS.
 
-The same parts as in the ROS nodes do the work: the driver's source and supervisor, the live
+It is made of the same parts as the ROS nodes: the driver's source and supervisor, the live
 estimator with its checks, and the writer of bags.
 """
 
@@ -51,15 +51,15 @@ VIRTUAL: Final = 'virtual'
 
 
 class Reading(NamedTuple):
-    """The force at the end of a window of 2 ms, and how far it can be trusted.
+    """The force at the end of a window of 2 ms, with its uncertainty and validity.
 
     Attributes:
         stamp_us: End of the window, camera clock [us since the Unix epoch].
-        force: Normal force [N]; NaN where it is withheld because it cannot be trusted.
-        deviation: Its standard deviation [N]; NaN from a model that gives none.
-        valid: Whether it can be trusted.
-        reason: Why not; `Reason.TRUSTED` if it can.
-        frame_age_s: From the latest frame to the end of the window [s].
+        force: Normal force [N]; NaN if it is withheld because it is not valid.
+        deviation: Standard deviation of the force [N]; NaN if the model estimates none.
+        valid: Whether the force can be trusted.
+        reason: Reason why the force is not valid; `Reason.TRUSTED` if it is.
+        frame_age_s: Time from the latest frame to the end of the window [s].
     """
 
     stamp_us: int
@@ -79,10 +79,10 @@ class Picture(NamedTuple):
     """A frame that the estimator has used.
 
     Attributes:
-        stamp_us: Middle of its exposure, camera clock [us since the Unix epoch].
+        stamp_us: Middle of the exposure, camera clock [us since the Unix epoch].
         image: Intensity, uint16 [height, width], the camera's 10 bits left-aligned.
-        difference: Log contrast less that without contact, float32 [rows, columns], a value for 4 x
-            4 pixels; None of a model that does not compare.
+        difference: Log contrast minus the log contrast without contact, float32 [rows, columns],
+            one value per 4 x 4 pixels; None if the model does not compute it.
     """
 
     stamp_us: int
@@ -97,20 +97,21 @@ WAITING: Final = 8
 class Sensor:
     """A tactile sensor; use it in a `with` statement, or call `open` and `close`.
 
-    `read`, `async_read` and `read_latest` return forces as LeRobot's cameras return images: they
-    wait for the next one, for one that was not returned yet, or not at all. `pictures` has the
-    same three for frames. All methods may be called from any thread.
+    `read`, `async_read` and `read_latest` return forces as LeRobot's cameras return images. `read`
+    waits for the next force, `async_read` waits for a force that was not returned yet, and
+    `read_latest` does not wait. `pictures` has the same three methods for frames. All methods may
+    be called from any thread.
 
-    Without a stored reference the force of a camera is not valid until the sensor was touched,
-    released and `tare` was called, as with the ROS node. Virtual sensors and recordings begin
-    without contact: their first still frames are the zero.
+    Without a stored reference, the force of a camera is not valid until the sensor has been touched
+    and released and `tare` has been called, as with the ROS node. Virtual sensors and recordings
+    begin without contact: their first still frames are the zero.
 
     Args:
-        source: `virtual` for a simulated sensor that nothing touches, `virtual:press` for one that
-            the profile of that name touches again and again (`mixtac_sim.world.profiles`),
-            `usb` for the camera that is attached, `usb:SERIAL` for one of several, a device
-            string of the driver, or the path of a recording.
-        model: Weight file, or name of a shipped model; empty for that of `fger`.
+        source: `virtual` for a simulated sensor without contact, `virtual:press` for a simulated
+            sensor that repeats the profile `press` (`mixtac_sim.world.profiles`), `usb` for the
+            attached camera, `usb:SERIAL` for one of several cameras, a device string of the driver,
+            or the path of a recording.
+        model: Weight file, or name of a shipped model; empty for the model of `fger`.
         driver: Settings of the camera and of playback.
         fger: Settings of the estimator.
 
@@ -153,7 +154,7 @@ class Sensor:
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened and not closed since."""
+        """Whether the sensor is open."""
         return self._supervisor is not None
 
     @property
@@ -167,7 +168,7 @@ class Sensor:
         Raises:
             ModelError: The weights are missing, damaged, or do not fit the camera.
             NoCameraError: No such camera is attached.
-            SensorError: It is open already, or the virtual sensor does not start.
+            SensorError: The sensor is open already, or the virtual sensor does not start.
             MixtacError: The source or the bag cannot be opened.
         """
         with self._opening:
@@ -182,7 +183,7 @@ class Sensor:
                 raise
 
     def close(self) -> None:
-        """Stop; harmless on a closed sensor."""
+        """Stop and release the sensor; has no effect on a closed sensor."""
         with self._opening:
             self._supervisor = None
             self._clean_up()
@@ -192,7 +193,7 @@ class Sensor:
         return self._forces.read(timeout_ms)
 
     def async_read(self, timeout_ms: float = 200) -> Reading:
-        """Return the latest force that was not returned by it yet; see `Latest.async_read`."""
+        """Return the latest force that it has not returned yet; see `Latest.async_read`."""
         return self._forces.async_read(timeout_ms)
 
     def read_latest(self, max_age_ms: float = 500) -> Reading:
@@ -200,10 +201,11 @@ class Sensor:
         return self._forces.read_latest(max_age_ms)
 
     def tare(self) -> None:
-        """Make the present force zero and, with a camera, store the reference for the next time.
+        """Set the present force to zero; with a camera, also store the reference for later.
 
         Raises:
-            TareError: In contact, too few still frames, or no release was seen since the start.
+            TareError: The sensor is in contact, has too few still frames, or saw no release since
+                the start.
             NotOpenError: The sensor is closed.
         """
         self._check()
@@ -285,7 +287,7 @@ class Sensor:
             raise failure
 
     def _check(self) -> None:
-        """Raise where no reading can be expected any more."""
+        """Raise an error if no further reading can arrive."""
         supervisor = self._supervisor
         if supervisor is None:
             raise NotOpenError(

@@ -28,7 +28,7 @@ def simulate(
     dataset: Annotated[
         str,
         typer.Option(
-            help='Named data set instead: static, long_term, dynamic, impact, vibration, new_gel.'
+            help='Named data set to write: static, long_term, dynamic, impact, vibration, new_gel.'
         ),
     ] = '',
     trials: Annotated[int, typer.Option(min=1, help='Number of trials of the profile.')] = 10,

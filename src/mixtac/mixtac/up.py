@@ -51,7 +51,8 @@ def start_nodes(
 ) -> None:
     """Start the processes of nodes, the driver last; see `NodeSpec.command`.
 
-    The driver of a virtual camera starts once that listens; else it reports a missing camera.
+    The driver of a virtual camera is started once the camera accepts connections; otherwise the
+    driver would report a missing camera.
 
     Raises:
         GraphError: A parameter file does not exist, or a process has ended.
@@ -71,7 +72,7 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
 
     Args:
         processes: The processes.
-        seconds: How long [s]; 0 waits until interrupted.
+        seconds: Time to wait [s]; 0 waits until interrupted.
 
     Raises:
         GraphError: A process has ended.
@@ -99,7 +100,7 @@ def up(
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
     model: Annotated[
         str,
-        typer.Option(help='Weight file or name of a model; by default that of the parameter file.'),
+        typer.Option(help='Weight file or name of a model; by default, see the parameter file.'),
     ] = '',
     play: Annotated[bool, typer.Option(help='Virtual sensor: play its scenario in a loop.')] = True,
     view: Annotated[
@@ -152,7 +153,7 @@ def up(
 
 
 def check_choice(device: str, model: str, params_file: Path | None) -> dict[str, object] | None:
-    """Refuse what cannot be used before anything starts; return the estimator's parameters.
+    """Reject invalid options before anything starts; return the parameters of the estimator.
 
     Args:
         device: Value of `--device`.
@@ -180,7 +181,7 @@ def show_without_ros(device: str, model: str, seconds: float) -> None:
     Args:
         device: The same values as `--device` of `up`. The virtual sensor is pressed repeatedly.
         model: Weight file or name of a model; empty for the default.
-        seconds: How long from the first force on [s]; 0 shows it until interrupted.
+        seconds: Duration from the first force on [s]; 0 runs until interrupted.
     """
     from mixtac.sensor import USB, VIRTUAL, Sensor
 
@@ -198,10 +199,10 @@ def show_without_ros(device: str, model: str, seconds: float) -> None:
 
 
 def time_left(seconds: float, check: Callable[[], None] = lambda: None) -> Callable[[], str]:
-    """Return a function whose text says how long a sensor is shown, and is empty at the end.
+    """Return a function that returns the remaining time as text, and an empty text at the end.
 
     Args:
-        seconds: How long from now on [s]; 0 until interrupted.
+        seconds: Duration from now on [s]; 0 runs until interrupted.
         check: Called each time; raises when a process has ended.
     """
     end_s = time.monotonic() + seconds
@@ -244,7 +245,7 @@ def slip(
     seconds: RunTime = 0.0,
     figure: Annotated[
         Path,
-        typer.Option(help='Picture of the impacts, written at the end.', callback=writable),
+        typer.Option(help='Figure of the impacts, written at the end.', callback=writable),
     ] = Path('slip.png'),
 ) -> None:
     """Hold a simulated object against disturbances with the real driver and slip control."""

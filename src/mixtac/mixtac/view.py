@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of the live view in rerun, its server, and what is drawn once per picture.
 
-The server is a process, because only rerun's program can be bound to this machine: the same server
-within a Python process listens on all interfaces.
+The server runs as a separate process, because only rerun's program can be restricted to connections
+from this machine. The same server inside a Python process listens on all interfaces.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 """A virtual sensor in a process of its own, which `Sensor('virtual')` starts and ends.
 
 `python -m mixtac.virtual [SCENARIO]` prints one line of JSON with the socket of its camera, and
-runs until its standard input ends. The host's lack of time stops simulated time; nothing is lost.
+runs until its standard input ends. If the host is too slow, simulated time pauses and no data are
+lost.
 """
 
 from __future__ import annotations

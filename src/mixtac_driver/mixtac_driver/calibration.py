@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Lens calibration from views of a checkerboard: find it, keep different views, fit, refuse.
+"""Lens calibration from views of a checkerboard: detection, choice of views, fit, checks.
 
-OpenCV finds the corners and fits the lens. This module decides which views are worth fitting, which
-contradict the others, and whether the result can be trusted.
+OpenCV finds the corners and fits the lens. This module selects the views for the fit, rejects views
+that contradict the others, and checks whether the result can be trusted.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def coverage(views: Sequence[View]) -> float:
 
 
 class ViewSelection:
-    """Keeps views worth fitting.
+    """Keeps the views that add information to the fit.
 
     Attributes:
         views: Views kept, in order of arrival.

@@ -372,7 +372,7 @@ class Davis346:
             self.clock.add(decoder.time_us, transfer.arrival_ns)
 
     def _sleep(self) -> None:
-        """Sleep while what is due cannot have arrived yet."""
+        """Sleep until the next data can have arrived."""
         if not self.clock.ready:
             return
         due_us = self._due_us

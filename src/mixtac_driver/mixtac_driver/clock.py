@@ -54,7 +54,7 @@ class ClockEpochs:
 
     Attributes:
         unasked: Resets without a request.
-        latest_us: Latest time handed out [us, epoch-based camera clock].
+        latest_us: Latest time returned [us, epoch-based camera clock].
     """
 
     def __init__(self, asked: Origin, delay_us: int, latest_us: int = 0) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about cameras on the USB, a running camera, and this computer.
+"""Checks of cameras on the USB, of a running camera, and of this computer.
 
 Checks of the USB need no permission for the camera: they read what the kernel reports (kernel
 documentation, ABI/testing/sysfs-bus-usb).
@@ -267,7 +267,7 @@ MOST_WORDS = 64 << 20
 
 @dataclass
 class RawData:
-    """What a camera sent while it was measured.
+    """Data that a camera sent during the measurement.
 
     Attributes:
         words: Its bytes, as the decoder reads them; the first `MOST_WORDS`.
@@ -350,7 +350,7 @@ def check_running(
     Args:
         p: Device, serial number and settings.
         seconds: Duration of the count [s].
-        raw: Receives what the camera sends.
+        raw: Receives the data of the camera.
         backend: A pyusb backend to use instead of the one that the device string names.
     """
     on_transfer = None if raw is None else raw.add

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the driver: a leaf, because USB, decoder, clock and nodes share them."""
+"""Errors of the driver; imports no other driver module, because all of them use it."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pixel masks: dropping events of unwanted pixels, and finding hot pixels.
 
-The camera has eight single-pixel filters: they take the noisiest pixels, whose events then use no
-bandwidth. Further pixels are dropped on the host, with one table look-up per event.
+The camera has eight single-pixel filters. They mask the noisiest pixels, whose events then use no
+bandwidth. Events of further pixels are discarded on the host, with one table look-up per event.
 
 A hot pixel fires all the time while its neighbours do not. A pixel counts as hot if it fires often,
 and many times as often as the fourth noisiest of the 24 pixels around it: flickering edges and
@@ -200,7 +200,7 @@ LEAST_RATE_HZ = 10.0
 FACTOR = 10.0
 """A hot pixel has at least this many times the events of the pixel it is compared with."""
 RANK = -4
-"""The fourth noisiest of the neighbours is what a pixel is compared with."""
+"""A pixel is compared with the fourth noisiest of its neighbours."""
 FEWEST_EVENTS = 10
 """Fewer than this may be chance where most pixels have none."""
 SIGMAS = 5.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration of FGER-Net: everything that fixes what a weight file means, and its cost."""
+"""The configuration of FGER-Net: it fixes the meaning of the weights and the computing time."""
 
 from __future__ import annotations
 

@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""Where something touches the skin, how large the contact is and which way it lies.
+r"""Position, size and orientation of a contact on the skin.
 
-A press drives the beads of a thin bonded layer away from itself; a pull takes them along, farther
-ahead and behind than beside it. The field of a contact at :math:`c` is fitted as
+A press moves the beads of a thin bonded layer away from the contact. A pull moves them in its own
+direction, and moves those ahead of and behind the contact more than those beside it. The field of a
+contact at :math:`c` is fitted as
 
 .. math:: u(p) = \left[ a \, (1 + q)^{-3/2} + b k \, (d^T s) (1 + k q)^{-5/2} \right] M d
                  + s \, (1 + k q)^{-3/2}, \quad d = p - c, \quad q = d^T M d
 
 by weighted least squares (Levenberg and Marquardt): the symmetric matrix :math:`M` holds the width
-along each axis, :math:`s` what shear and perspective add, k (`SHEAR_FALL`) and b (`SHEAR_LOBES`)
-the shape of that. Weights are the structure tensors of the field, so that the fit is one of the
-picture itself, and points without texture do not count.
+along each axis, :math:`s` is the displacement that shear and perspective add, and k (`SHEAR_FALL`)
+and b (`SHEAR_LOBES`) give its shape. Weights are the structure tensors of the field: the fit is
+then equivalent to a fit of the picture itself, and points without texture have no weight.
 """
 
 from __future__ import annotations
@@ -190,7 +191,7 @@ def _fit(
     """Fit from `p`, or from a search; write parameters and covariance.
 
     Returns:
-        Weighted square of the field, and what the fit leaves of it.
+        Weighted square of the field, and of the residual of the fit.
     """
     shape = PARAMETERS, PARAMETERS
     normal, right = np.empty(shape), np.empty(PARAMETERS)
@@ -274,8 +275,9 @@ class ContactFit:
     Attributes:
         parameters: a [mm^2], s [mm], c [mm], M [1/mm^2]; see the module.
         covariance: Of these, float64 [8, 8], for the noise of the picture.
-        significance: Square root of what the contact explains of the field, over what it leaves:
-            standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be seen.
+        significance: Square root of the ratio of the explained to the unexplained part of the
+            field: standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be
+            seen.
         gains: Change of the parameters per displacement of each cell of the event grid, right and
             down in the image [.../px], float64 [8, rows, columns, 2].
     """
@@ -316,7 +318,7 @@ class ContactShape(NamedTuple):
 
 
 def contact_shape(p: F64, covariance: F64, scale: SkinScale, object_radius: float) -> ContactShape:
-    """Return what the parameters of a fit say about place and shape.
+    """Return the place and shape that follow from the parameters of a fit.
 
     Args:
         p: Parameters [8].
@@ -373,7 +375,7 @@ def contact_radius(
 
 
 class ContactFitter:
-    """Fits contacts to displacement fields, each from where the one before was.
+    """Fits contacts to displacement fields; each fit starts from the result of the last one.
 
     Args:
         size: Columns and rows of the image [px].

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The contact at 500 Hz: on and off by force and picture, place and shape by frames and events.
+"""The contact at 500 Hz: onset and end from force and picture, shape from frames and events.
 
-A weak force that lasts is a contact where a picture shows more than any since the last one: noise
-moves the estimate until a frame corrects it, and gel that creeps back is no touch. In a release the
-estimate comes late, and is led by its own slope. Times and thresholds were chosen on 34 simulated
-sensors. The rate of events at one place detects a touch no sooner than the force.
+A weak force counts as a contact only if it lasts and if a picture shows more displacement than was
+left after the last contact. Without this check, noise of the estimate before a frame corrects it,
+or gel that creeps back, would count as a contact. During a release the estimate is late, so it is
+extrapolated with its own slope. Times and thresholds were chosen on 34 simulated sensors. The local
+event rate does not detect a touch earlier than the force does.
 
 Where frames are encoded, a contact is fitted to the displacement of the beads. Between frames, its
 parameters follow the displacement that events measure, by the gains of the fit: a product of a
@@ -52,7 +53,7 @@ MOST_CARRIED_MM: Final = 1.0
 REST_SHARE: Final = 0.01
 """Share of the force without contact that its mean takes over per window: 0.2 s."""
 MOST_REST_N: Final = 0.05
-"""Largest force that is taken for one without contact [N]."""
+"""Largest estimate that counts as an offset without contact [N]."""
 UNSEEN_N: Final = 0.1
 """Largest force of a contact that a picture may fail to show [N]."""
 UNSEEN_US: Final = 40_000
@@ -68,7 +69,7 @@ LEAD_BELOW_N: Final = 0.3
 YOUNG_US: Final = 60_000
 """Age of a contact up to which it is not led: a frame may still correct its force [us]."""
 SLOPE_WINDOWS: Final = 5
-"""Windows over which the slope is taken."""
+"""Windows over which the slope is computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +77,8 @@ class ContactSettings:
     """How contacts are found.
 
     Attributes:
-        on_n: Force from which on there is contact [N].
-        off_n: Force from which down there is none [N]; below `on_n`.
+        on_n: Force above which there is contact [N].
+        off_n: Force at or below which there is no contact [N]; smaller than `on_n`.
         object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
         scale: Of the skin in the picture.
     """

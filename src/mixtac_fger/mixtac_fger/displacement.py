@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Displacement of the beads since the no-contact reference, in pixels and in millimetres of skin.
 
-Iterated least squares (Lucas and Kanade) between log contrasts: each step measures what the steps
-before left, against the reference moved by them. Neither exposure nor lamp current matter.
+Iterated least squares (Lucas and Kanade) between log contrasts: each step moves the reference by
+the displacement found so far, and measures what remains. Exposure and lamp current have no effect.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class DisplacementField:
         moved: Displacement x and y [px], float32 [2, rows, columns].
         tensor: Structure tensor xx, xy, yy of a bin of the picture [log units^2/px^2], float32
             [3, rows, columns]: how much texture there is to measure by.
-        noise: Root mean square of what the displaced reference leaves of the picture [log units].
+        noise: Root mean square of the residual between picture and displaced reference [log units].
         spacing_px: Distance of neighbouring points [px]; the first lies half of it from the corner.
         bin_px: Pixels of a bin of the picture along each axis.
     """

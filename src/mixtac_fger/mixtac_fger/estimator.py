@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator of an architecture: its interface, its registry, and what an estimate is.
+"""The interface and the registry of estimators, and the type of an estimate.
 
 A package registers an architecture by an entry point of the group `mixtac.estimators`, named like
 the architecture in the weight file:
@@ -49,10 +49,10 @@ class EncodedFrame:
         mid_us: Centre of the exposure, camera clock [us].
         force: Frames-only force [N].
         reference: `Reference.number` of the reference it was compared with, 0 without one.
-        content: Private to the estimator.
-        contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
-            not compute it, whose frames are not compared with the events.
-        picture: What it has in common with the reference; None without one.
+        content: Private data of the estimator.
+        contrast: Coarse log contrast, float32 [rows, columns]; None if the architecture does not
+            compute it; frames are then not compared with events.
+        picture: Comparison with the reference; None without one.
         touch: Displacement of the beads and the contact; None unless asked for.
     """
 
@@ -66,9 +66,9 @@ class EncodedFrame:
 
 
 class Estimator(ABC):
-    """One architecture with its weights and its state; windows come in order of time.
+    """One architecture with its weights and its state; windows are processed in order of time.
 
-    `encode` may be called from another thread than the rest, which belongs to one thread.
+    `encode` may be called from a second thread; all other methods are called from one thread.
 
     Attributes:
         width: Columns of the sensor [px].
@@ -76,7 +76,7 @@ class Estimator(ABC):
         window_us: Length of a window [us]; one force per window.
         gives_deviation: Whether `step` returns a standard deviation.
         finds_contact: Whether encoded frames can have a `touch`.
-        force_unit: Force of what was one newton in the training [N]; not 1 after a calibration.
+        force_unit: Force that one newton in the training stands for [N]; not 1 after a calibration.
         reference: The no-contact reference; None if the architecture needs none.
     """
 
@@ -111,13 +111,13 @@ class Estimator(ABC):
 
     @abstractmethod
     def start_at(self, frame: EncodedFrame) -> None:
-        """Start over from a frame, possibly in contact."""
+        """Restart the estimate from a frame, possibly in contact."""
 
     @abstractmethod
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
         """Advance by one window and return the force and its standard deviation [N].
 
-        Called only after `correct` or `start_at` has been given a frame.
+        It is called only after a frame has been passed to `correct` or `start_at`.
 
         Args:
             events: Events of the window, camera clock.
@@ -126,7 +126,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def clear(self) -> None:
-        """Forget the recurrent state: no force, nothing remembered. The latest frame is kept."""
+        """Reset the recurrent state, including the force. The latest frame is kept."""
 
     @property
     def shear(self) -> Shear | None:
@@ -144,10 +144,10 @@ class Estimator(ABC):
         return 0
 
     def find_contacts(self, scale: SkinScale | None) -> None:  # noqa: B027 - optional
-        """Measure the touch of frames from now on, where `finds_contact`; None ends it."""
+        """Measure the contact of all further frames, if `finds_contact`; None disables this."""
 
     def change_sensor(self) -> None:  # noqa: B027 - optional
-        """Forget what was learned about the sensor."""
+        """Reset everything that was learned about the sensor."""
 
 
 def open_estimator(model: Model) -> Estimator:
@@ -179,14 +179,15 @@ def open_estimator(model: Model) -> Estimator:
 
 
 class Estimate(NamedTuple):
-    """The force at the end of a window, and how far it can be trusted.
+    """The force at the end of a window, with its uncertainty and validity.
 
     Attributes:
         end_us: End of the window, camera clock [us].
         force: Normal force [N].
-        deviation: Its standard deviation [N]; None from a model that gives none.
-        frame_age_us: From the centre of the latest frame's exposure to the end of the window [us].
-        complete: All packets of the window arrived.
+        deviation: Standard deviation of the force [N]; None if the model estimates none.
+        frame_age_us: Time from the centre of the latest frame's exposure to the end of the window
+            [us].
+        complete: Whether all packets of the window arrived.
         saturated: Whether the sensor's readout has probably lost events because there were so many.
         reason: Why the force cannot be trusted; `Reason.TRUSTED` if nothing was found.
         contact: State and place of the contact; None unless asked for.
@@ -210,11 +211,11 @@ class Estimate(NamedTuple):
 
 
 def given_estimate(estimate: Estimate, policy: str, trusted: Estimate | None) -> Estimate | None:
-    """Return the estimate to publish for a window by the parameter `invalid_force`; None for none.
+    """Return the estimate to publish for a window, as set by `invalid_force`; None for none.
 
     Args:
-        estimate: Of the window.
-        policy: Value of the parameter.
+        estimate: Estimate of the window.
+        policy: Value of the parameter `invalid_force`.
         trusted: Latest valid estimate, up to this one; None before the first.
     """
     if estimate.valid or policy == 'publish':
@@ -237,7 +238,7 @@ def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
 
 @dataclass(slots=True)
 class EstimatorStatus:
-    """What the live estimator counted since it was made, and its present state.
+    """Counters of the live estimator since its creation, and its present state.
 
     Attributes:
         windows: Windows closed.
@@ -259,10 +260,11 @@ class EstimatorStatus:
         tares: Times the reference was renewed on release (`ForceEstimator.tare_on_release`).
         resets: Times the clock went backwards or the state was not finite.
         ready: Whether windows give forces now.
-        reason: Why not; empty when ready.
-        frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
+        reason: Why windows give no forces; empty when ready.
+        frame_age_us: Camera time since the centre of the latest frame's exposure; -1 without a
+            frame.
         frame_force: Frames-only force of the latest frame [N].
-        deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
+        deviation: Standard deviation of the latest force [N]; -1 if the model estimates none.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
     """
@@ -300,12 +302,12 @@ CALIBRATED_KEY = 'calibrated'
 
 @dataclass(frozen=True, slots=True)
 class CameraFacts:
-    """What is known about the camera.
+    """Known properties of the camera.
 
     Attributes:
         width: Columns of its frames [px]; 0 while unknown.
         height: Rows [px].
-        cut: Whether it sends a region or binned pixels only.
+        cut: Whether the camera sends only a region, or binned pixels.
         serial: Serial number, empty while unknown.
     """
 
@@ -316,7 +318,7 @@ class CameraFacts:
 
 
 def check_camera(estimator: Estimator, card: ModelCard, camera: CameraFacts) -> None:
-    """Refuse a camera that the model was not made for; unknown facts are not checked.
+    """Reject a camera that the model was not made for; unknown properties are not checked.
 
     Raises:
         ModelError: Size, region or serial number do not fit.

@@ -203,7 +203,7 @@ COORDINATES = 2**16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventGuide:
-    """What the latest frame contributes to the features of an event window.
+    """Contribution of the latest frame to the features of an event window.
 
     Attributes:
         along_x: Log-gradient along x [1/px], float32 [rows, columns] of gradient bins.
@@ -307,7 +307,8 @@ class FramePreparation:
     def network_input(self, contrast: Contrast, reference: F32) -> F32:
         """Return the frame network's input, float32 [channels, rows, columns].
 
-        What a smooth change of light since the reference explains is taken out of the frame first.
+        The part that a smooth change of light since the reference explains is first removed from
+        the frame.
 
         Args:
             contrast: The frame.
@@ -328,7 +329,7 @@ class FramePreparation:
         return np.stack([channels[name] for name in config.frame_channels])
 
     def picture(self, reference: F32) -> PictureFigures:
-        """Return what the frame of the latest `network_input` has in common with the reference."""
+        """Return the comparison of the frame of the latest `network_input` with the reference."""
         if not self._reads_flow:
             self._displace(reference)
         return picture_figures(reference, self._even, self._flow)

@@ -2,19 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The estimator of FGER-Net, small version: compiled, without torch.
 
-The network corrects its force F at once when a frame has been evaluated, 25 times a second. A force
-with steps that nobody exerted is of little use to a controller, so the output follows a correction
-c over the next :math:`N` windows, an equal share in each:
+The network corrects its force F at once when a frame has been evaluated, 25 times a second. A
+controller must not see these steps, which are not steps of the real force. The output therefore
+follows a correction c over the next :math:`N` windows, by an equal share in each:
 
 .. math:: f_t = F_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
 
-where the pending part p grows by c and n starts over when a frame corrects. What exceeds three
-standard deviations is applied at once: that is news, not noise. The deviation :math:`\sigma` of the
-output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
+where the pending part p grows by c and n starts over when a frame corrects. The part beyond three
+standard deviations is applied at once, because noise does not explain it. The deviation
+:math:`\sigma` of the output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
 
-While the force vibrates, the network forgets a frame within a window: events of
-both signs in turn draw F to where it was. Frames then correct the output: see `Vibration`. A frame
-that was exposed around a blow is a mixture of forces, and corrects nothing.
+While the force vibrates, the network loses the correction by a frame within one window, because
+events of alternating sign pull F back to its earlier value. Frames then correct the output instead:
+see `Vibration`. A frame that was exposed during a blow averages different forces, and is not used
+for a correction.
 """
 
 from __future__ import annotations
@@ -122,25 +123,25 @@ def checked_config(model: Model) -> FgerConfig:
 class Vibration:
     r"""Recognises a force that vibrates, and follows its mean by frames.
 
-    The force vibrates where the sum of the increments turned back `TURNS` times by `SWING_N` or
-    more within the latest `SPAN` windows, until fewer than `TURNS_LEFT` turns are left or there was
-    none in `QUIET` windows: 50 Hz turn twelve times, and rebounds have rest between them. Then the
-    output is
+    A vibration begins when the sum of the increments has reversed `TURNS` times by `SWING_N` or
+    more within the latest `SPAN` windows. It ends when fewer than `TURNS_LEFT` reversals are left,
+    or when there was none in `QUIET` windows. A vibration of 50 Hz reverses twelve times; rebounds
+    have rest between them. During a vibration the output is
 
     .. math:: f_t = F_t + o, \quad o \leftarrow o + k (F_{frame} - \bar F - o),
 
     where the mean is over the exposure; k is 1 for the first frame and `SHARE` for each after it.
-    The deviation follows the phase of a vibration, but not the error: it is at least its mean over
-    a frame interval, and what frames differ by adds to it. The constants are from 40 simulated
-    trials of 5 s (vibrations, blows, and without either).
+    The deviation follows the phase of the vibration, but the error does not. The reported deviation
+    is therefore at least its mean over a frame interval, and the difference to the frames adds to
+    it. The constants are from 40 simulated trials of 5 s (vibrations, blows, and without either).
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
 
     Attributes:
         active: Whether the force vibrates.
-        offset: What frames add to the force [N].
-        misfit: Root mean square by which they differed from it [N].
+        offset: Correction that frames add to the force [N].
+        misfit: Root mean square of the difference between frames and corrected force [N].
     """
 
     SWING_N: Final = 0.02

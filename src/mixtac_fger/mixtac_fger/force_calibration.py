@@ -3,22 +3,22 @@
 """The gain of a sensor from known loads: plateaus of a force series, and a line through the origin.
 
 No image shows how stiff a gel is, so the estimate of an uncalibrated sensor is off by a factor.
-Known loads F_i are put on one after the other. Each rests long enough for a plateau; the mean of
-the estimate there, less the zero before and after it, is e_i. The model of the fit is
+Known loads F_i are applied one after the other, each long enough for a plateau. e_i is the mean of
+the estimate on the plateau, less the zero before and after it. The model of the fit is
 
     F_i = g * e_i + r_i,    Var r_i = s_i^2 + g^2 n_i^2 + (m g e_i)^2
 
 with the stated uncertainty s_i of the load, the uncertainty n_i of the plateau and its zero, and
-the part m by which the estimate differs from load to load: place, object, history. The line goes
-through the origin, because the zero is known:
+the relative spread m of the estimate from load to load, due to place, object and history. The line
+goes through the origin, because the zero is known:
 
     g = sum(w_i F_i e_i) / sum(w_i e_i^2),    w_i = 1 / Var r_i,
     sd(g)^2 = max(1, chi^2 / (n - 1)) / sum(w_i e_i^2),    chi^2 = sum(w_i r_i^2).
 
-The sideways force is calibrated in the same way, by masses on a thread that pull what presses the
-gel aside. Its series is complex (x is real, y imaginary, in the contact frame), and e_i is the size
-of the change. The gain of pulls holds at their place and normal force; `sideways_gain` gives the
-one to be expected elsewhere.
+The sideways force is calibrated in the same way, by masses on a thread that pull the pressing
+object sideways. Its series is complex (x is real, y imaginary, in the contact frame), and e_i is
+the size of the change. The gain is valid at the place and the normal force of these pulls;
+`sideways_gain` returns the gain to expect elsewhere.
 
 Nothing here needs ROS: a live sensor and a recording give the same series.
 """
@@ -425,7 +425,7 @@ FEWEST_SAMPLES: Final = 10
 
 
 def reference_loads(t_s: F64, reference_n: F64, plateaus: Sequence[Plateau]) -> list[Load]:
-    """Return what a reference sensor measured during plateaus, less what it showed in their rests.
+    """Return the force of a reference sensor during plateaus, less its reading in their rests.
 
     Args:
         t_s: Times on the clock of the plateaus [s]; to a tenth of a second is enough.
@@ -491,8 +491,8 @@ class ForceCalibration:
 
     Attributes:
         points: The loads in their order.
-        gain: Known force over estimate.
-        gain_sd: Its standard uncertainty.
+        gain: Ratio of the known force to the estimate.
+        gain_sd: Standard uncertainty of the gain.
     """
 
     points: tuple[Point, ...]
@@ -501,7 +501,7 @@ class ForceCalibration:
 
 
 def check_loads(loads: Sequence[Load]) -> None:
-    """Refuse loads that cannot both fit and check a gain.
+    """Reject loads that cannot both fit and check a gain.
 
     Raises:
         ForceCalibrationError: There are too few, or all are alike.

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame network, compiled: one call without the interpreter lock, in preallocated memory.
 
-A frame step made of many small calls releases and takes the lock many times, and each time the
-thread that closes windows may have to wait for it. The torch network of `mixtac_learning.network`
-is the reference that this is tested against.
+A frame step of many small calls would release and acquire the lock many times, and the thread that
+closes windows might have to wait each time. The torch network of `mixtac_learning.network` is the
+reference that this is tested against.
 """
 
 from __future__ import annotations

@@ -2,22 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""Moments of the displacement of the beads about the contact: forces, up to a constant.
 
-A layer that is loaded moves, far from the load, as if the load acted in one point: seen through a
-window that is wide against the contact, neither its shape nor the pressure within it matters. With
+Far from a load, a layer moves as if the load acted at one point. In a window that is much wider
+than the contact, neither the shape of the contact nor the pressure distribution matters. With
 :math:`x` from the contact, :math:`u` the displacement and :math:`g` a Gaussian of width :math:`w`,
 
 .. math:: D = \sum x \cdot u \, g / w^2, \quad S = \sum u \, g / w, \quad
           T_w = \sum (x \times u) \, g / w^2
 
-are proportional to the normal force, the sideways force and the torque; how stiff the gel is makes
-the constants. A press and a pull have no T, a turn has neither D nor S. Beads that are pressed
-towards the camera move away from the optical axis: for a contact at c from it, S gains a part that
-is proportional to :math:`L = D c / w`, which is therefore given as well.
+are proportional to the normal force, the sideways force and the torque; the constants depend on the
+stiffness of the gel. For a press and a pull, T is zero; for a turn, D and S are zero. Beads that
+are pressed towards the camera move away from the optical axis in the image. For a contact at c from
+the axis, this adds to S a part proportional to :math:`L = D c / w`; L is therefore computed as
+well.
 
 The contact is at the mean of the places, weighted by the square of the divergence of u where that
-is positive. A turn has none, and a pull moves the mean along itself, where it gives no moment.
+is positive. A turn has no divergence. A pull shifts the mean along its own direction only, which
+adds no moment.
 
-Between two frames, events give the same moments: their flow over the grid is the change of u.
+Between two frames, the same moments are computed from events: their flow over the grid is the
+change of u.
 """
 
 from __future__ import annotations
@@ -107,7 +110,7 @@ def contact_of(found: F32 | F64, shape: tuple[int, int]) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def moments_of_cells(contact: tuple[float, float], shape: tuple[int, int], out: F64) -> None:
-    """Write what the displacements x and y of each cell of a grid add to the moments.
+    """Write the contribution of the displacements x and y of each cell of a grid to the moments.
 
     Args:
         contact: Column and row of the contact [bins].

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The recurrent path and the uncertainty head, compiled: what runs 500 times a second.
+"""The recurrent path and the uncertainty head, compiled: they run 500 times a second.
 
 Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against. Only `EventResponse` has no part there: it is what a
-sensor shows of itself while it runs.
+the reference that this is tested against. Only `EventResponse` is not part of it: it is fitted to
+the sensor at run time.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
-        context: What the latest frame adds to `increment_hidden`, bias included.
+        context: Contribution of the latest frame to `increment_hidden`, bias included.
         response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
             slow increments that complete half a reversal [N]. See `EventResponse`.
         increments: Sums of the slow and of the fast increments of the network [N], and the
@@ -269,22 +269,22 @@ def deviation(state: F32, force: float, moved: float, weights: HeadWeights) -> A
 
 
 class EventResponse:
-    r"""How the events of a sensor answer to force, by its frames: their gain and their play.
+    r"""The response of events to force, measured with frames: its gain and its play.
 
-    Contrast thresholds, gels and beads differ from sensor to sensor, and with them the sum of
-    increments that events give for a change of force. And events have play, like a worn gear: after
-    a reversal a pixel is silent until the contrast has moved by a threshold or two, so that what
-    events show lags behind. From one frame to the next,
+    Contrast thresholds, gels and beads differ from sensor to sensor, and so does the sum of the
+    increments from events for the same change of force. Events also have play, like a worn gear:
+    after a reversal, a pixel is silent until the contrast has changed by one or two thresholds, so
+    the events lag behind the force. From one frame to the next,
 
     .. math:: \Delta F - B = g A + p \, \Delta s,
 
     where F is the corrected force at the centre of the exposure, A the sum of the slow increments
     between the two centres and B that of the fast ones. s is the direction of the motion: it
     follows the increments, `REVERSAL_N` from the middle to an end, and stops at -1 and 1. g and p
-    follow from least squares, in which frames are forgotten with `KEPT` each. It begins at g = 1
-    and p = 0, with the weight of a change of `PRIOR_N` and of the square root of `PRIOR_TURNS`
-    half reversals, and is pulled there, so that noise, or events that are wrong, do little. Blows
-    have no part: their events saturate, and no frame shows them.
+    are estimated by least squares with the forgetting factor `KEPT` per frame. The prior is g = 1
+    and p = 0, with the weight of a change of `PRIOR_N` and of the square root of `PRIOR_TURNS` half
+    reversals, so that noise or wrong events have little effect. Blows are not used: their events
+    saturate, and no frame shows them.
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
@@ -306,7 +306,7 @@ class EventResponse:
 
     @property
     def values(self) -> tuple[float, float]:
-        """The gain, and the play: half the way that events lose in a reversal [N]."""
+        """The gain, and the play: half of the force change that events miss in a reversal [N]."""
         slow, both, turned, change_slow, change_turned = self._sums
         prior = (self._unit * self.PRIOR_N) ** 2
         slow, turned, change_slow = slow + prior, turned + self.PRIOR_TURNS, change_slow + prior
@@ -317,7 +317,7 @@ class EventResponse:
         return min(max(gain, self.LOWEST), self.HIGHEST), min(max(play, 0.0), widest)
 
     def forget_frame(self) -> None:
-        """Begin anew with the next frame; gain and play stay, which are the sensor's."""
+        """Restart with the next frame; gain and play are kept: they belong to the sensor."""
         self._before = None
 
     def frame(self, force: float, increments: NDArray[np.float64]) -> None:
@@ -397,7 +397,7 @@ class RecurrentPath:
         self._state.response[:2] = self._response.values
 
     def clear(self) -> None:
-        """Forget everything but the response of the events: no force, no memory."""
+        """Reset the force and the memory; the response of the events is kept."""
         state = self._state
         kept = state.response.copy(), state.context.copy()
         for part in state:
@@ -420,9 +420,9 @@ class RecurrentPath:
             context += matrix @ frame_feature
 
     def start_at(self, force: float) -> None:
-        """Begin at a known force [N], with a memory of having been there without events.
+        """Start at a known force [N], with the memory of a rest at this force without events.
 
-        A memory of nothing belongs to no force: with it the next increments would be wrong.
+        With an empty memory, which fits no force, the next increments would be wrong.
         """
         self.clear()
         still = np.zeros(self._event_shape, np.float32)
@@ -458,12 +458,12 @@ class RecurrentPath:
 
         Args:
             lag: Windows between the last estimate and their middle.
-            half: Windows before and after it, fewer where there are none after it yet.
+            half: Windows before and after the middle; fewer if later windows do not exist yet.
         """
         return float(self._history.take(self._around(lag, half), mode='wrap').mean())
 
     def blow(self, lag: int, half: int) -> bool:
-        """Return whether past windows had part in a blow, which no frame shows; as `mean`."""
+        """Return whether past windows are part of a blow, which no frame shows; see `mean`."""
         places = self._around(lag, half)
         fast = self._increments[:, 1].take([places[0] - 1, *places], mode='wrap')
         return bool(np.ptp(fast) > self._config.force_unit * BLOW_N)

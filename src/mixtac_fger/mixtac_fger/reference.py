@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The no-contact reference, the file that keeps it, and when it may be renewed.
+"""The no-contact reference, its file, and the conditions for its renewal.
 
-A contact that was there from the start looks like none, since beads lie anywhere in a gel. So a
-first zero needs a release, which draws the skin together; a later one is compared with the
-reference.
+A contact that is present from the start cannot be seen, because the beads are at random places in
+the gel. The first zero therefore requires a release, during which the skin contracts. A later zero
+is compared with the reference.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ F32 = NDArray[np.float32]
 
 
 class TareError(MixtacError):
-    """A request for a new zero that would be wrong now."""
+    """A request for a new zero at a time when it would be wrong."""
 
 
 class ReferenceFileError(MixtacError):
@@ -55,8 +55,8 @@ def is_still(change: F32, stillness: float) -> bool:
     """Return whether a change of the picture is small, or noise alone.
 
     Noise has no neighbours: a second difference along both axes is six times as large as the change
-    itself. Motion of beads, which are several bins wide, is smoother. However dark the picture is,
-    its own noise is the limit.
+    itself. Motion of beads, which are several bins wide, is smoother. The limit is the noise of the
+    picture itself, however dark it is.
 
     Args:
         change: Difference of two pictures [log units], float32 [rows, columns].
@@ -81,7 +81,7 @@ class Reference:
     Attributes:
         frames: Still frames that make a reference.
         disturbances: How often motion restarted the collection of the first reference.
-        assume_free: Whether the first still frames count as those without contact.
+        assume_free: Whether the first still frames are assumed to be without contact.
     """
 
     def __init__(self, config: FgerConfig) -> None:
@@ -116,7 +116,7 @@ class Reference:
 
     @property
     def number(self) -> int:
-        """Changes with each reference, and where one is forgotten."""
+        """Number that changes with each new reference, and when one is forgotten."""
         return self._number
 
     @property
@@ -224,11 +224,11 @@ def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
 
 
 def stored_reference(name: str, reference: Reference | None) -> F32 | None:
-    """Use the stored reference of a sensor, and return it; None where there is none.
+    """Use the stored reference of a sensor, and return it; None if there is none.
 
     Args:
         name: Name of the file in the state folder; empty for none.
-        reference: That of an estimator; None if it needs none.
+        reference: Reference of an estimator; None if the estimator needs none.
 
     Raises:
         MixtacError: The name is not plain, or the file cannot be used.
@@ -256,7 +256,7 @@ class Zero:
     """Follows the frames of a sensor since the start, or since the latest tare.
 
     Args:
-        reference: What its frames are compared with.
+        reference: Reference with which frames are compared.
 
     Attributes:
         drift: Mean force that frames show while nothing touches the sensor, before any calibration
@@ -275,7 +275,7 @@ class Zero:
 
     @property
     def released(self) -> bool:
-        """Whether the skin drew together since the start, or was pushed apart and came back."""
+        """Whether the skin has contracted since the start, or was stretched and came back."""
         if abs(self._outward) > CONTACT:
             return self._outward < 0.0
         return self._most > 2.0 * CONTACT
@@ -309,12 +309,12 @@ class Zero:
         """Make the latest frames the reference, and start over.
 
         Args:
-            picture: Of the latest frame; None if it was not compared.
+            picture: Comparison of the latest frame; None if it was not compared.
             forces: Latest estimates [N].
-            contact_n: Size of a force from which on it is a contact [N].
+            contact_n: Absolute force from which on there is contact [N].
 
         Raises:
-            TareError: In contact, no release was seen, or too few still frames.
+            TareError: The sensor is in contact, saw no release, or has too few still frames.
         """
         largest, known = max(forces, key=abs), self._reference.known
         if known and abs(largest) > contact_n:

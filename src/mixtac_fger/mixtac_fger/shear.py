@@ -3,17 +3,17 @@
 r"""Sideways force and torsion beside the normal force.
 
 The sideways force is a linear function of the feature of a frame, most of all of its moments
-(`mixtac_fger.moments`). The torsion is a sum of the moments of turning with weights by the
-convolutions, for gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames the
-moments change by those of the flow of the events, :math:`u = e \, v`: v is the displacement per
-contrast threshold, e (`PER_EVENT`) makes it that which frames show. The same constants make both a
-force.
+(`mixtac_fger.moments`). The torsion is a weighted sum of the moments of turning; the convolutions
+adapt the weights to gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames,
+the moments of the event flow, :math:`u = e \, v`, are added to the moments: v is the displacement
+per contrast threshold, and e (`PER_EVENT`) scales it to the displacement in frames. The same
+constants convert both to a force.
 
-The value is that of the latest frame, and the increments since the centre of its exposure; the
-output follows a frame over some windows.
-:math:`\sqrt{b^2 + (s y)^2 + (e i)^2 + r^2}` is its deviation: a floor, a share of the value y, one
-of i, the sum of the sizes of these increments, and what is left to follow. Values are those of a
-gel of usual stiffness times `shear.unit`, which `mixtac_fger.fger_net.with_gain` and
+The value y is that of the latest frame plus the increments since the centre of its exposure; the
+output follows a frame over some windows. Its standard deviation is
+:math:`\sqrt{b^2 + (s y)^2 + (h i)^2 + r^2}`: a floor b, a share s of the value, a share h of the
+sum i of the absolute increments, and the correction r that the output has yet to follow. Values are
+those of a gel of usual stiffness times `shear.unit`, which `mixtac_fger.fger_net.with_gain` and
 `with_sideways_gain` change.
 
 Axes are those of the contact frame: x to the right and y upwards in the image, z from the contact
@@ -39,7 +39,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 NEWTONS: Final = (1.0, 1.0, 1e-3)
-"""Units of what the network computes: newtons, and newton millimetres for the torque."""
+"""Units of the output of the network: newtons, and newton millimetres for the torque."""
 
 
 class Shear(NamedTuple):
@@ -65,7 +65,7 @@ class Shear(NamedTuple):
 
 
 PER_EVENT: Final = 0.4
-"""Displacement that frames show per displacement per contrast threshold by events."""
+"""Displacement in frames over displacement per contrast threshold from events."""
 
 
 class Shown(NamedTuple):
@@ -73,8 +73,8 @@ class Shown(NamedTuple):
 
     Attributes:
         value: Force to the right and upwards [N], torque [N mm]; float64 [3].
-        per_flow: What a flow of one pixel per contrast threshold, x and y, in each cell of the
-            event grid adds to `value`; float64 [3, grid rows, grid columns, 2].
+        per_flow: Change of `value` by a flow of one pixel per contrast threshold, x and y, in each
+            cell of the event grid; float64 [3, grid rows, grid columns, 2].
     """
 
     value: F64
@@ -138,7 +138,7 @@ class ShearHead:
         self._found = np.zeros((2, 3))
 
     def measure(self, feature: F32) -> Shown:
-        """Return what a frame shows.
+        """Return the measurement of a frame.
 
         Args:
             feature: f_frame, float32 [feature_size].
@@ -154,7 +154,7 @@ class ShearHead:
         return Shown(value, np.tensordot(per_moment * self._per_moment, self._cells, 1))
 
     def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
-        """Take what a frame showed.
+        """Correct the value by the measurement of a frame.
 
         Args:
             shown: Of `measure`.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The live estimator: events and frames in as they arrive, a force out per 2 ms window.
+"""The live estimator: it receives events and frames, and returns a force per 2 ms window.
 
 All times are on the camera clock [us].
 
@@ -73,10 +73,10 @@ NO_LIMIT_US = 2**62
 
 
 class ForceEstimator:
-    """Follows a live stream and gives a force per window, with memory that does not grow.
+    """Processes a live stream and returns a force per window, in bounded memory.
 
-    `push_events`, `tare`, `drain` and `reset` belong to one thread; `push_frame` may be called from
-    another if `background_frames` is set.
+    `push_events`, `tare`, `drain` and `reset` must be called from one thread; `push_frame` may be
+    called from another thread if `background_frames` is set.
 
     Args:
         estimator: Architecture with weights and state, not shared with others.
@@ -89,17 +89,17 @@ class ForceEstimator:
         assume_free: Nothing touches the sensor at the start. Otherwise the forces are not valid
             until the reference is a stored one or `tare` has been called.
         tare_on_release: See below.
-        contact: How contacts are found; None for no contact and no displacement. Ignored for an
-            architecture that finds none.
+        contact: Settings of contact detection; None for no contact and no displacement. Ignored if
+            the architecture does not detect contacts.
 
     Attributes:
         contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next three.
         sideways_scale: Factor of sideways force and torsion beside `force_scale`.
-        contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
-        longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
-        stale_frame_us: Age of the latest frame beyond which the force is not trusted [us].
+        contact_threshold_n: Estimate above which there is contact, and `tare` is rejected [N].
+        longest_without_frame_us: Age of the latest frame beyond which there is no force [us].
+        stale_frame_us: Age of the latest frame beyond which the force is not valid [us].
         tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
     """
 
@@ -168,7 +168,7 @@ class ForceEstimator:
 
     @property
     def frame_problem(self) -> str:
-        """What was wrong with the latest frame that the frame thread refused; empty for none."""
+        """Fault of the latest frame that the frame thread rejected; empty if there was none."""
         return '' if self._worker is None else self._worker.problem
 
     @property
@@ -205,12 +205,12 @@ class ForceEstimator:
     def push_events(
         self, events: Events, complete_until_us: int, *, lost_before: bool = False
     ) -> list[Estimate]:
-        """Take events and return the forces of the windows that they complete.
+        """Process events and return the forces of the windows that they complete.
 
         Args:
             events: The next events, camera clock; may be empty.
             complete_until_us: No event before this time will follow [us].
-            lost_before: Events between the previous call and these are missing.
+            lost_before: Whether events between the previous call and this one are missing.
 
         Returns:
             Estimates in order of time; empty until the estimator is ready.
@@ -234,19 +234,20 @@ class ForceEstimator:
         return [found for end, part in closed if (found := self._window(end, part)) is not None]
 
     def tare(self) -> None:
-        """Make the present state zero: the latest frames become the reference.
+        """Set the present force to zero: the latest frames become the reference.
 
-        While the zero is unknown, a release must have been seen since the start: a contact that was
-        there from the beginning looks like none.
+        While the zero is unknown, a release must have been seen since the start, because a contact
+            that is present from the beginning cannot be detected.
 
         Raises:
-            TareError: Not ready, in contact, too few still frames, or a model without reference.
+            TareError: The estimator is not ready, the sensor is in contact, there are too few still
+                frames, or the model has no reference.
         """
         self._renew_reference()
         self._validity.forget()
 
     def _renew_reference(self) -> None:
-        """Make the present state zero; raises as `tare`."""
+        """Set the present force to zero; raises the errors of `tare`."""
         if self._zero is None:
             raise TareError(
                 'this model has no no-contact reference', remedy='subtract the force at rest'
@@ -288,14 +289,14 @@ class ForceEstimator:
             self._zero.restart()
 
     def use_contact(self, settings: ContactSettings) -> None:
-        """Find contacts by these settings from now on, if the architecture finds any."""
+        """Detect contacts with these settings from now on, if the architecture can."""
         if self._estimator.finds_contact:
             rows, columns = self._estimator.flow.shape[:2]
             self.contact = ContactTracker(settings, (rows, columns))
             self._estimator.find_contacts(settings.scale if self._contact_wanted else None)
 
     def want_contact(self, wanted: bool) -> None:
-        """Compute contacts from now on, or none while nobody uses them."""
+        """Switch the computation of contacts on, or off while nobody uses them."""
         if wanted != self._contact_wanted:
             self._contact_wanted = wanted
             if self.contact is not None:
@@ -388,7 +389,7 @@ class ForceEstimator:
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
     def _fetch(self) -> None:
-        """Take what the frame thread has finished."""
+        """Process the results of the frame thread."""
         if self._worker is not None:
             self._keep(self._worker.results())
 
@@ -399,7 +400,7 @@ class ForceEstimator:
             self._apply(self._encoded.popleft(), end_us)
 
     def _check(self, frame: EncodedFrame) -> None:
-        """Check a frame, and follow the zero by it."""
+        """Check a frame, and update the zero with it."""
         picture = frame.picture
         self._validity.frame(frame.mid_us, frame.contrast, picture)
         if picture is not None and self._zero is not None:
@@ -486,7 +487,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     It takes seconds the very first time. The estimator must not be used afterwards.
 
     Returns:
-        Its estimates; none would mean that a part has not been run.
+        The estimates; if there are none, a part was not run.
     """
     feed, found = ForceEstimator(estimator, contact=ContactSettings()), []
     size = feed.size

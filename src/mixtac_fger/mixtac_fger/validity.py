@@ -2,20 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a force can be trusted, and why not.
 
-Two checks use the pictures, in 48 tiles. Both compare with the noise and the pattern of this sensor
-itself, so that its brightness, its contrast and its rates do not matter.
+Two checks use the pictures, in 48 tiles. Both are relative to the noise and the pattern of this
+sensor, so that its brightness, its contrast and its rates have no effect.
 
-* **Picture.** A pressed gel looks like the reference, displaced. The residual to the displaced
-  reference, less the noise from frame to frame, is a small part of the variance of the pattern, or
-  less than half of the change. The gel is bonded at its border, so that the whole picture does not
-  move.
-* **Events.** Where the change from one frame to the next, or the events between them, exceed their
-  own noise, they correlate as those of one motion do: ON events where a pixel has become brighter.
+* **Picture.** The picture of a pressed gel is the displaced reference. It passes if the residual to
+  the displaced reference, less the noise from frame to frame, is a small part of the variance of
+  the pattern, or less than half of the change. The gel is bonded at its border, so the picture as a
+  whole must not move.
+* **Events.** If the change from one frame to the next, or the events between the two frames, exceed
+  their noise, both must show the same motion: ON events where pixels have become brighter.
 
 The noise of a tile is the lower envelope of its mean squares. The mean square of 120 bins of white
-noise has a standard deviation of 13 %, the envelope lies two below the mean: `SIGNAL` is four above
-it, which one tile in 30,000 exceeds by chance. A finding needs four tiles of one frame, or three
-frames of five, so that noise alone makes less than one in ten hours.
+noise has a standard deviation of 13 %. The envelope lies two standard deviations below the mean and
+`SIGNAL` four above it, which one tile in 30,000 exceeds by chance. A fault is reported for four
+tiles of one frame, or for three frames of five, so that noise alone causes less than one report in
+ten hours.
 """
 
 from __future__ import annotations
@@ -256,7 +257,7 @@ class Validity:
         self.skip()
 
     def skip(self) -> None:
-        """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
+        """Go on after a hole in the stream: reported faults remain until they are resolved."""
         self._before: tuple[int, F32] | None = None
         self._ends = np.full(KEPT_WINDOWS, -1, np.int64)
         self._net = np.zeros((KEPT_WINDOWS, 1, 1), np.int8)
@@ -264,7 +265,7 @@ class Validity:
 
     @property
     def reason(self) -> Reason:
-        """Why not, by the latest frames and windows; `TRUSTED` if nothing was found."""
+        """Reason not to trust the force, from the latest frames and windows; else `TRUSTED`."""
         return min(self._held) if self._held else Reason.TRUSTED
 
     def window(self, end_us: int, events: Events, *, complete: bool) -> None:
@@ -303,7 +304,7 @@ class Validity:
         self._held |= dict.fromkeys(found, HOLD_FRAMES)
 
     def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
-        """Return what a frame and the events since the frames before it contradict."""
+        """Return the checks that a frame and the events since the previous frames fail."""
         before, self._before = self._before, (mid_us, contrast)
         if before is None:
             self._net = np.zeros((KEPT_WINDOWS, *contrast.shape), np.int8)

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Weight files and model cards: where models are found, and their one format.
+"""Weight files and model cards: their search path and their format.
 
-A weight file is a safetensors file whose header names the architecture and its version and holds
-the configuration, where the training data came from, and figures on data that were not trained on.
+A weight file is a safetensors file whose header names the architecture and its version and contains
+the configuration, the origin of the training data, and results on data that were not used for
+training.
 """
 
 from __future__ import annotations

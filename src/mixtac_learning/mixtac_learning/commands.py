@@ -41,7 +41,7 @@ def train(
     ] = 'ours',
     bags: Annotated[
         OptionalPaths,
-        typer.Option(help='Bags, or folder of bags, in place of the data that the file names.'),
+        typer.Option(help='Bags, or folder of bags, instead of the data named in the file.'),
     ] = None,
     start: Annotated[
         OptionalStr,
@@ -66,8 +66,9 @@ def train(
 ) -> None:
     """Train a network as a YAML file describes.
 
-    With --start, the small network goes on from trained weights; a fifth of the trials is held back
-    and judged before and after. Processes started by torchrun share the work.
+    With --start, training of the small network continues from trained weights; one fifth of the
+    trials is kept out of training, and the model is evaluated on them before and after. Processes
+    started by torchrun share the work.
     """
     from mixtac_learning.train.run import run_training
 
@@ -94,7 +95,7 @@ def evaluate(
     series: Annotated[
         OptionalPath,
         typer.Option(
-            help='CSV file for the forces over time, with deviation, validity and reference.',
+            help='CSV file for forces over time, with deviation, validity and reference.',
             callback=writable,
         ),
     ] = None,

@@ -138,7 +138,7 @@ class ShearHead(nn.Module):
 
     Attributes:
         frame: From f_frame to the sideways force that a frame shows [N].
-        turning: From what the convolutions say to the torsion per moment of turning [N mm].
+        turning: From the output of the convolutions to the torsion per moment of turning [N mm].
         unit: Factor of each axis.
         deviation: Floor, share of the value and share of the increments, by axis.
     """

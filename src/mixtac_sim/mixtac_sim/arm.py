@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated Franka Research 3: its geometry and limits, its controller, and its lag.
 
-Geometry and limits are written independently of the slip controller's own. Modified
+Geometry and limits are written independently of those of the slip controller. Modified
 Denavit-Hartenberg parameters and positions: Franka's documentation and franka_description; speeds:
 joint speed at mid range; acceleration and jerk: libfranka.
 
@@ -10,8 +10,8 @@ The controller is a joint_trajectory_controller of ros2_control, written from th
 ros2_controllers' source and its issues 697, 780 and 1306 (Jazzy and later): a message takes effect
 at the next cycle and replaces the one before; before its first point the motion goes from the last
 command; quintics join the points, which give position, velocity and acceleration; after the last
-point that point is held. The command is that of one period ahead. Each joint follows its command
-with a lag.
+point that point is held. The command is computed for one period ahead. Each joint follows its
+command with a lag.
 """
 
 from __future__ import annotations

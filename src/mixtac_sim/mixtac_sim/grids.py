@@ -9,9 +9,9 @@ Commands lie on a grid of 125 us. Blocks of 4 ms are always computed whole, so t
 depend on how often the simulation is advanced. A block is halved until no bead moves more than
 0.3 px in a step, down to 125 us.
 
-Random streams belong to a seed, a purpose and, where time is cut up, a block. A stream depends on
-these alone, never on earlier draws, so results do not depend on the order or the size of the steps
-in which a simulation is advanced.
+Random streams belong to a seed, a purpose and, where time is cut up, a block. A stream depends only
+on these, never on earlier draws, so results do not depend on the order or the size of the steps in
+which a simulation is advanced.
 """
 
 from __future__ import annotations

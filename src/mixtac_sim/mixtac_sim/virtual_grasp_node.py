@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """An object held between the virtual sensor and a wall, as a node.
 
-The camera hands everything over about 20 ms after it was simulated, because a frame must be known
-before its readout begins; so the arm's answer reaches the object that much later than on a bench.
-`mixtac experiments slip` has none. Where the host cannot keep up, simulated time goes slower
-than the host's; with `publish_clock`, nodes that take their time from `/clock` slow down too.
+The camera outputs all data about 20 ms after they were simulated, because a frame must be known
+before its readout begins. The response of the arm therefore reaches the object 20 ms later than on
+a real bench. `mixtac experiments slip` does not have this delay. If the host cannot keep up,
+simulated time runs slower than the clock of the host; with `publish_clock`, nodes that use `/clock`
+slow down as well.
 """
 
 from __future__ import annotations

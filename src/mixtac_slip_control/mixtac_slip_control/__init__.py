@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Slip detection from events, and the advance of an arm that answers it."""
+"""Slip detection from events, and the advance of an arm in response to slip."""

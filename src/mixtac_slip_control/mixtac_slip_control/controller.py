@@ -61,8 +61,8 @@ class SlipStep:
         advance: Change of the wanted advance by this window, along the contact normal [m].
         total_advance: Wanted advance since enabling [m].
         reason: Why slip control stopped, else why it cannot be enabled now; else empty.
-        slip_direction: Of the motion of the skin while it slips, from x to y of the contact frame
-            [rad]; 0 otherwise.
+        slip_direction: Direction of the motion of the skin during slip, from x to y of the contact
+            frame [rad]; 0 otherwise.
         wanted_force: Normal force that the law `step` presses for or keeps [N]; 0 while disabled.
     """
 
@@ -96,20 +96,20 @@ NEVER: Final = -(10**9)
 
 
 class SlipController:
-    """Watches for slip and, when enabled, advances the arm against it.
+    """Detects slip and, when enabled, advances the arm against it.
 
     Args:
         parameters: Settings of all parts.
-        planner: Plans the arm's motion; None only reports.
+        planner: Plans the motion of the arm; with None, slip is only reported.
         normal: Contact normal (3,) in the arm's base frame, along which the arm advances, or a
             function that returns it for the joint positions at enabling.
-        check_state: Returns what is wrong with joint positions [rad], None if nothing is.
+        check_state: Returns the fault of joint positions [rad], or None.
 
     Attributes:
-        interlock: Whether the arm may follow.
+        interlock: Whether the arm may respond to slip.
         watch: Ages and limits.
         unsafe: Why the arm's controller is not safe to stream to; empty if nothing is wrong.
-        following: Whether the arm is where the plan leads it; None without an arm.
+        following: Check that the arm follows the plan; None without an arm.
         detectors: Both slip detectors.
         features: Cuts the event stream into windows.
         law: Owner of the wanted advance.
@@ -139,11 +139,11 @@ class SlipController:
 
     @property
     def enabled(self) -> bool:
-        """Whether slip moves the arm."""
+        """Whether the arm responds to slip."""
         return self.interlock.enabled
 
     def configure(self, parameters: SlipControlParameters) -> None:
-        """Use other parameters.
+        """Change the parameters.
 
         Raises:
             SlipControlError: Slip control is enabled.
@@ -192,7 +192,7 @@ class SlipController:
             now_s: Host time [s].
 
         Raises:
-            SlipControlError: Too small, or of another size than the events.
+            SlipControlError: The frame is too small, or of another size than the events.
         """
         self.features.frame(image, stamp_us)
         self.watch.on_frame(stamp_us, self.features.contrast, now_s)
@@ -280,11 +280,11 @@ class SlipController:
         return fault
 
     def braking(self, now_s: float) -> PlannedTrajectory | None:
-        """Return the trajectory that ends a motion early, or None where nothing moves.
+        """Return the trajectory that ends a motion early, or None if nothing moves.
 
-        Call this once after a stop or a disabling. Where no such trajectory can be planned, the
-        last one brings the arm to rest. An arm that is not where the plan leads it is left alone: a
-        trajectory from there would begin with a step.
+        Call this once after a stop or after disabling. If no such trajectory can be planned, the
+        last one brings the arm to rest. An arm that does not follow the plan receives no
+        trajectory, because it would begin with a step.
         """
         if self._planner is None or (self.following is not None and self.following.lost):
             return None
@@ -300,17 +300,17 @@ class SlipController:
         commanded: NDArray[np.float64] | None = None,
         settling_s: float = 0.0,
     ) -> None:
-        """Let slip move the arm, from where it is and from an advance of zero.
+        """Enable the response of the arm to slip, from its present position and an advance of zero.
 
         Args:
             now_s: Host time [s].
-            commanded: Joint positions (n,) [rad] that the arm's controller commands; None where it
-                is led to the measured ones.
-            settling_s: Time that this takes [s]; slip is answered afterwards.
+            commanded: Joint positions (n,) [rad] that the arm's controller commands; None if the
+                arm is to settle at the measured positions.
+            settling_s: Time for settling [s]; the arm responds to slip only afterwards.
 
         Raises:
-            SlipControlError: No arm, nothing learned, slip at present, an arm that still moves, a
-                watchdog, a limit, or a stop that was not reset.
+            SlipControlError: There is no arm, the thresholds are not learned yet, the object slips,
+                the arm still moves, a watchdog or a limit has a fault, or a stop was not reset.
         """
         if self._planner is None or self.following is None:
             raise SlipControlError(
@@ -335,14 +335,14 @@ class SlipController:
         self._settling = (now_s, now_s + settling_s)
 
     def disable(self) -> None:
-        """Let nothing move; the wanted advance stays on record until the next enabling."""
+        """Disable the response to slip; the wanted advance is kept until the next enabling."""
         self.interlock.disable()
 
     def reset(self, now_s: float) -> None:
-        """Leave a stop; the arm stays disabled.
+        """Clear a stop; slip control stays disabled.
 
         Raises:
-            SlipControlError: Slip control is enabled, or the cause of the stop is still there.
+            SlipControlError: Slip control is enabled, or the cause of the stop is still present.
         """
         if self.enabled:
             raise SlipControlError(

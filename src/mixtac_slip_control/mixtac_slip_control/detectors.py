@@ -9,8 +9,8 @@ force, which moves beads too.
 Flow: translation of the skin around the contact. Events of a changing normal force point away from
 the contact and cancel in the translation, and so do pixels that flicker without motion. One window
 is checked for fast slip, and a sum over several for slow slip, whose motion adds up while noise
-does not. In either the events have to agree: where many fire at once, as when a lamp is switched
-on, the rest of their sum is no motion.
+does not. In both checks the events must agree: when many pixels fire at once, as when a lamp is
+switched on, the remainder of their sum is not a motion.
 
 `Detectors` runs both on the same windows. Their thresholds at rest are learned once, from the first
 second, and again after a tare.
@@ -86,7 +86,7 @@ class RestThreshold:
 
 
 class CountDetector(RestThreshold):
-    """The detector of the paper: slip where N_t > N_th.
+    """The detector of the paper: slip if N_t > N_th.
 
     Attributes:
         limit: N_th; 0 until learned.
@@ -104,13 +104,14 @@ class CountDetector(RestThreshold):
 
 
 class FlowDetector:
-    """Decides by the translation of the skin; lengths are in px per contrast threshold.
+    """Detects slip by the translation of the skin; lengths are in px per contrast threshold.
 
-    Without a frame there is no translation: such windows are quiet and are not learned from.
+    Without a frame there is no translation: such windows count as quiet and are not used for
+    learning.
 
     Attributes:
-        flow: Translation in the latest window, or the share of the slow sum where that is higher; 0
-            where the events do not agree on one.
+        flow: Translation in the latest window, or the share of the slow sum if that is higher; 0 if
+            the events do not agree on a translation.
         threshold: Threshold of `flow` in the latest window.
         moves: Whether the events of the latest window agree on a motion of the skin.
         slipping: Whether the latest window slipped; a slip ends after some quiet windows.
@@ -176,7 +177,7 @@ class Detectors:
     """Runs both detectors and lets them learn at rest.
 
     Args:
-        parameters: Returns law, and smallest translation of a slip.
+        parameters: Returns the law, and the smallest translation of a slip.
 
     Attributes:
         count: The detector of the paper, which decides under the law `paper`.
@@ -204,7 +205,7 @@ class Detectors:
         """Return whether the object slips; until they are learned, learn from the window instead.
 
         Args:
-            window: The next window. A change of light is no slip.
+            window: The next window. A change of light is not a slip.
             advance_m: Commanded motion of the arm within it [m].
         """
         if window.light:

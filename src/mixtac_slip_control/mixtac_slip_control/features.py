@@ -4,9 +4,9 @@
 
 A bead edge that moves by u changes the log intensity by -g u, where g is its gradient; each event
 reports one contrast threshold of that change with its sign. Sums of sign times gradient over a
-window, weighted with the fields that the motion may have, therefore give the motion by least
-squares. Two kinds of motion are separated: translation of the skin around the contact, which slip
-causes, and motion away from the centre of the contact, which pressing causes.
+window, weighted with the possible motion fields, therefore give the motion by least squares. Two
+kinds of motion are separated: translation of the skin around the contact, which slip causes, and
+motion away from the centre of the contact, which pressing causes.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ STALE_GUIDE_US: Final = 500_000
 LIGHT_EVENTS: Final = 400
 """Fewest events of a window that can show a change of light."""
 LIGHT_SHARE: Final = 0.8
-"""Share of one sign over the other from which events come from light: motion makes both signs."""
+"""Ratio of one sign to the other from which events are attributed to light; motion causes both."""
 COHERENCE: Final = 3.0
 """Motion over that of as many events with signs at random, from which on it counts: random signs
 reach it in one window of 8000. Simulated lamps that were switched on came to 2.4, slips to 4.2."""

@@ -12,7 +12,7 @@ from mixtac_slip_control.parameters import SlipControlParameters
 PERIOD_S: Final = 0.05
 """Time between two commands [s]."""
 LATENCY_S: Final = 0.05
-"""Time from a command until the fingers answer [s]."""
+"""Time from a command to the response of the fingers [s]."""
 SETTLING: Final = 3.0
 """Times of period and latency in which a speed closes most of the gap: a delayed loop of this pace
 does not swing."""

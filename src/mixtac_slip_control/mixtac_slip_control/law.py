@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""The advance laws: how far the arm shall advance along the contact normal.
+r"""The advance laws: they compute how far the arm advances along the contact normal.
 
 `paper_advance` is the law of the paper (section Closed loop Slip Control): in a window with
 :math:`N_t > N_{th}` the arm advances by :math:`\Delta d_t = k\,(N_t - N_{th})`.
@@ -9,8 +9,8 @@ r"""The advance laws: how far the arm shall advance along the contact normal.
 the sensor cancel in this ratio. On the way it learns the stiffness of the contact by least squares.
 At a slip it advances by one bounded step, holds, and returns slowly to the press.
 
-`AdvanceLaw.update` alone decides how far: no law passes the advance at which the force would reach
-`force_share` of `max_force` by the upper bound of the stiffness, nor `max_total`.
+`AdvanceLaw.update` limits the advance of every law to `max_total`, and to the advance at which the
+force would reach `force_share` of `max_force` at the upper bound of the stiffness.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ def stiffening(from_n: float, to_n: float) -> float:
 
 
 class Contact:
-    """Force of the contact as f + k x over the advance x, by recursive least squares.
+    """Model f + k x of the contact force over the advance x, fitted by recursive least squares.
 
     Attributes:
         force: f, force at advance zero [N].
         stiffness: k [N/m].
         present: Expected force at the advance of the latest measured one [N].
-        seen: Forces that were used.
+        seen: Number of forces used.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Contact:
         self.restart(0.0)
 
     def restart(self, advance: float) -> None:
-        """Count advances from here on, and forget the stiffness."""
+        """Make an advance the new zero, and reset the stiffness."""
         if self.seen:
             self.force = self.at(advance)
         self.stiffness = PRIOR
@@ -142,7 +142,7 @@ def paper_advance(count: int, threshold: float, gain: float) -> float:
 
 
 class Phase(Enum):
-    """What `StepLaw` does."""
+    """The phases of `StepLaw`."""
 
     PRESS = auto()
     """Presses towards `grip_margin`, and learns the stiffness."""
@@ -151,7 +151,7 @@ class Phase(Enum):
     SLIP = auto()
     """Answers a slip."""
     HOLD = auto()
-    """Completes the answer where the stiffness allows more, and holds it."""
+    """Completes the response where the stiffness allows more, and holds it."""
     RETURN = auto()
     """Returns to the force of the press."""
 
@@ -171,7 +171,7 @@ FASTEST_KEEP: Final = 5e-4
 BAND: Final = 0.04
 """Share by which the force may fall below the goal before it is restored."""
 SLIP_RATIO: Final = 1.4
-"""Least ratio of the force that answers a slip to the force at enabling."""
+"""Smallest ratio of the force after a slip response to the force at enabling."""
 PATIENCE_S: Final = 0.03
 """Time of a slip after which its answer is raised, if the press has measured the stiffness [s]."""
 PRESSED: Final = 1.05
@@ -179,20 +179,20 @@ PRESSED: Final = 1.05
 RAISE_RATE: Final = 5.0
 """Rate of that raise [N/s], up to the usable force."""
 HOLD_S: Final = 0.3
-"""Time without slip for which the answer is held [s]."""
+"""Time without slip for which the response is held [s]."""
 RETURN_SPEED: Final = 2e-5
 """Speed of the return [m/s]."""
 
 
 class StepLaw:
-    """Presses ahead, answers a slip by one bounded step, holds, and returns.
+    """Presses in advance, responds to a slip with one bounded step, holds, and returns.
 
     Args:
         start: Force at enabling [N].
 
     Attributes:
         phase: Present phase.
-        goal: Force that it presses for or keeps [N].
+        goal: Target force of the press or of the hold [N].
     """
 
     def __init__(self, start: float) -> None:
@@ -264,7 +264,7 @@ class StepLaw:
 
 
 class AdvanceLaw:
-    """Owns the wanted advance: runs the chosen law within the bound of the force.
+    """Computes the wanted advance by the chosen law, and limits it by the force.
 
     Args:
         parameters: Returns law, ratios and limits.

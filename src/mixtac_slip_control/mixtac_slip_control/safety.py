@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Interlock and watchdogs: when the arm may follow slip.
+"""Interlock and watchdogs: the conditions under which the arm may respond to slip.
 
 The interlock is off at start, on by request, and latches the first fault. The watch measures the
-age of each input and checks the limits. Neither is a safety-rated function: the robot's own limits,
-its protective stop and the emergency stop remain what keeps people safe.
+age of each input and checks the limits. Neither is a safety-rated function. People are protected by
+the robot's own limits, its protective stop and the emergency stop.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Interlock:
 
     Attributes:
         state: Present state.
-        reason: Why it stopped; empty unless it did.
+        reason: Why the interlock stopped; empty if it did not.
     """
 
     def __init__(self) -> None:
@@ -45,17 +45,17 @@ class Interlock:
 
     @property
     def enabled(self) -> bool:
-        """Whether the arm may follow slip."""
+        """Whether the arm may respond to slip."""
         return self.state is InterlockState.ENABLED
 
     def enable(self, fault: str | None) -> None:
-        """Let the arm follow slip.
+        """Enable the response of the arm to slip.
 
         Args:
-            fault: Why it may not now, or None.
+            fault: Why the arm may not be enabled now, or None.
 
         Raises:
-            SlipControlError: There is a fault, or it is stopped and was not reset.
+            SlipControlError: There is a fault, or a stop was not reset.
         """
         if self.state is InterlockState.STOPPED:
             raise SlipControlError(
@@ -67,18 +67,18 @@ class Interlock:
         self.state = InterlockState.ENABLED
 
     def disable(self) -> None:
-        """Let nothing move; a stop stays a stop."""
+        """Disable the response to slip; a stop remains."""
         if self.state is InterlockState.ENABLED:
             self.state = InterlockState.DISABLED
 
     def stop(self, reason: str) -> None:
-        """Stop for good; the first reason is kept. Without effect unless enabled."""
+        """Stop until a reset; the first reason is kept. Has no effect unless enabled."""
         if self.state is InterlockState.ENABLED:
             self.state = InterlockState.STOPPED
             self.reason = reason
 
     def reset(self) -> None:
-        """Leave the stop; the arm stays disabled."""
+        """Clear the stop; slip control stays disabled."""
         if self.state is InterlockState.STOPPED:
             self.state = InterlockState.DISABLED
         self.reason = ''
@@ -121,14 +121,14 @@ FORGET_S: Final = 5.0
 
 
 class SafetyWatch:
-    """Remembers when each input last arrived and what was wrong with it.
+    """Records the last arrival and the fault of each input.
 
-    Every time is on one steady host clock [s]. A value that is not a number is refused and counts
-    as not received; what is wrong with the latest one stays on record until a good one arrives.
+    Every time is on one steady host clock [s]. A value that is not a number is rejected and counts
+    as not received. Its fault is kept until a valid value arrives.
 
     Args:
         parameters: Returns law and largest force.
-        check_state: Returns what is wrong with joint positions [rad], None if nothing is.
+        check_state: Returns the fault of joint positions [rad], or None.
 
     Attributes:
         force: Latest normal force [N], None before the first.
@@ -230,7 +230,7 @@ class SafetyWatch:
         return fresh and not self._untrusted and FORCE not in self._wrong
 
     def fault(self, now_s: float) -> str | None:
-        """Return why the arm may not follow slip now, or None."""
+        """Return why the arm may not respond to slip now, or None."""
         if self._untrusted:
             return f'the force is not valid: {self._untrusted}'
         return self._stale(now_s) or self._limits() or self._unseen()
@@ -251,7 +251,7 @@ class SafetyWatch:
         return self._behind()
 
     def _behind(self) -> str | None:
-        """Return which inputs come regularly but are old, or None."""
+        """Return which inputs arrive, but too late, or None."""
         limit = LATE_AGES * MAX_AGE_S[EVENTS]
         if not self._late_s <= limit:
             return (
@@ -286,7 +286,7 @@ class SafetyWatch:
         return None
 
     def _unseen(self) -> str | None:
-        """Return why slip could not be seen, or None."""
+        """Return why slip could not be detected, or None."""
         if self._parameters().law != PAPER:
             if self._unguided >= LOST_WINDOWS:
                 return 'the latest frame is not of the time of the events, or of another size'

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Watches events for slip, publishes `slip`, and streams trajectories that advance the arm.
+"""Detect slip in events, publish `slip`, and stream trajectories that advance the arm.
 
 Everything happens in the callback of the event packet: no timer lies between an event and the
-trajectory that answers it. The node starts disabled. It is not a safety-rated function.
+resulting trajectory. The node starts disabled. It is not a safety-rated function.
 """
 
 from __future__ import annotations

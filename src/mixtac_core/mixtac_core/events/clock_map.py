@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Camera clock to host clock, from the times at which data arrive.
+"""The map from the camera clock to the host clock, estimated from arrival times.
 
-Data arrive some time after the camera stamped them, never before: the true relation of the two
-clocks lies below all pairs (camera time, arrival), and the quickest arrivals lie close to it. The
-map is the line below all recent pairs that is closest to them on average; it passes through two
-corners of their lower convex hull (Moon, Skelly, Towsley: "Estimation and removal of clock skew
-from network delay measurements", INFOCOM 1999). What it cannot see is the smallest delay itself,
-which stays in the offset.
+Data arrive some time after the camera stamped them, never before. Over camera time, the true
+relation of the two clocks therefore lies below all arrivals, and the fastest arrivals lie close to
+it. The map is the line below all recent arrivals that is closest to them on average; it passes
+through two corners of their lower convex hull (Moon, Skelly, Towsley: "Estimation and removal of
+clock skew from network delay measurements", INFOCOM 1999). The smallest delay itself cannot be
+measured in this way and stays in the offset.
 """
 
 from __future__ import annotations

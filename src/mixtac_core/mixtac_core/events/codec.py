@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoding and decoding of event packets.
 
-Packets of `libcaer_cmp` and `libcaer` are independent of each other, so that a lost packet costs
-its own events only.
+Packets of `libcaer_cmp` and `libcaer` are independent of each other: when a packet is lost, only
+its own events are lost.
 """
 
 from __future__ import annotations

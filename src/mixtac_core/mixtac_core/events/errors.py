@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base class of every error that users may see, and the line that reports it.
 
-Apart, because all modules import it.
+This class has a module of its own, because all other modules import it.
 """
 
 from __future__ import annotations

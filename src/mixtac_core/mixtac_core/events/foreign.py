@@ -8,10 +8,10 @@ The time holds the low 31 bits of the camera time [us]; `time_base` [ns] is the 
 time of the first event, times 1000. Where the low bits roll over inside a packet (every
 35.8 minutes), later events lie 2^31 us later.
 
-`evt3` is the stream of Prophesee's sensors, cut anywhere (EVT 3.0,
-https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html): words of 16 bits whose upper four
-name their kind. Time and row hold until they change, also from packet to packet. Times have 24 bits
-[us] and roll over every 16.8 s.
+`evt3` is the stream of Prophesee's sensors (EVT 3.0,
+https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html), divided into packets at any
+point. Its words have 16 bits; the upper four are the type. Time and row are valid until the next
+word that changes them, also across packets. Times have 24 bits [us] and roll over every 16.8 s.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled operations on frames: binning, log contrast, gradients, displacement.
 
-Kernels of this project write their loops out: numba compiles expressions of whole arrays, with
-their checks of shapes, for seconds. Constants are passed on as `np.int64`, as numba would compile
-a kernel once more for each.
+Kernels of this project use explicit loops: numba needs seconds to compile expressions of whole
+arrays, with their checks of shapes. Constants are passed as `np.int64`; otherwise numba would
+compile a kernel again for each of them.
 """
 
 from __future__ import annotations

@@ -15,11 +15,11 @@ code name        value                                  effect
 5    VECT_8      8 valid bits                           events at base + bit, then base += 8
 ==== =========== ====================================== =====================================
 
-dt counts from `time_base` [ns], the camera time of the packet's first event; both halves start
-at 0 in every packet. A TIME_LOW always follows a TIME_HIGH, because decoders that stop at a time
-limit look at the clock only there. After the last event this encoder may set the time once more:
-to decoders that do not know, this is a time word like any other; to ours it says up to which time
-the stream is complete.
+dt counts from `time_base` [ns], the camera time of the packet's first event; both halves start at 0
+in every packet. A TIME_LOW always follows a TIME_HIGH, because decoders that stop at a time limit
+look at the clock only there. After the last event, this encoder may set the time once more. Other
+decoders read it as an ordinary time word; the decoder of this project reads it as the time up to
+which the stream is complete.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Gaps of a stream: messages missing by number, and stretches of time that no packet covers.
+"""Gaps in a stream: missing message numbers, and intervals that no packet covers.
 
-Everything that receives event packets counts losses with it.
+All receivers of event packets count their losses with this module.
 """
 
 from __future__ import annotations

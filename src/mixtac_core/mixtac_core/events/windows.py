@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cutting an event stream into windows of equal width, live or recorded.
 
-Window k covers ``[k * width, (k + 1) * width)`` on the camera clock; its label is its end.
+Window k covers ``[k * width, (k + 1) * width)`` on the camera clock; it is labelled with its end.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishing `/diagnostics` once a second, and the rates and ages that go into it.
 
-Like diagnostic_updater, which has no Python interface for lifecycle nodes.
+It replaces diagnostic_updater, which has no Python interface for lifecycle nodes.
 """
 
 from __future__ import annotations

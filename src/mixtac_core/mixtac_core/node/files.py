@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that people and programs read: written whole or not at all, read into checked dataclasses.
+"""Write files completely or not at all; read files into checked dataclasses.
 
-Every error names the path.
+Every error message names the path.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ T = TypeVar('T')
 
 
 class FileError(MixtacError):
-    """A file that cannot be read or written, or whose content is not what it should be."""
+    """A file that cannot be read or written, or whose content is invalid."""
 
 
 _PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,199}')
@@ -49,7 +49,7 @@ def state_file(name: str) -> Path:
             this folder.
 
     Raises:
-        FileError: The name has other characters or is too long, or leaves this folder.
+        FileError: The name contains other characters, is too long, or is outside this folder.
     """
     home = os.environ.get('MIXTAC_HOME')
     state = os.environ.get('XDG_STATE_HOME') or '~/.local/state'
@@ -90,8 +90,8 @@ def writable(path: Path | None) -> Path | None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
 
-    Makes the parent folder. When the block raises, `path` keeps what it held. A link stays one: the
-    file that it leads to is replaced.
+    Makes the parent folder. When the block raises, the content of `path` is unchanged. If `path` is
+    a link, the file that it leads to is replaced.
 
     Raises:
         FileError: The file cannot be written.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a sensor: which there are, and the command that starts each of them.
+"""The nodes of a sensor, and the command that starts each of them.
 
 `mixtac up`, the launch files and the benchmarks read this description.
 """
@@ -167,7 +167,7 @@ def sensor_graph(
         nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
     elif driver:
         raise GraphError(
-            f'{next(iter(driver))} is for a driver, which device {NO_DRIVER} leaves out',
+            f'{next(iter(driver))} is for a driver, but device {NO_DRIVER} starts none',
             remedy='name a device, or leave it out',
         )
     if slip is not None:
@@ -180,7 +180,7 @@ def sensor_graph(
 
 
 def node(where: str, name: str, **options: Any) -> NodeSpec:  # noqa: ANN401
-    """Return the node of the module `<name>_node` of a package; options as of `NodeSpec`."""
+    """Return the node of the module `<name>_node` of a package; options as in `NodeSpec`."""
     return NodeSpec(f'{where}.{name}_node', name, **options)
 
 

@@ -118,7 +118,7 @@ def parameter(
 
 
 def fixed(default: T, **options: Any) -> T:  # noqa: ANN401
-    """Describe a field that cannot change while the node runs; arguments as of `parameter`."""
+    """Describe a field that cannot change while the node runs; arguments as in `parameter`."""
     field: T = parameter(default, read_only=True, **options)
     return field
 
@@ -138,7 +138,7 @@ def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
 
 @cache
 def _attributes(described: type[Any]) -> dict[str, str]:
-    """Return what the docstring of a class says of its attributes."""
+    """Return the descriptions of the attributes in the docstring of a class."""
     _, _, section = inspect.cleandoc(described.__doc__ or '').partition('\nAttributes:\n')
     entries = section.partition('\n\n')[0]
     found = re.findall(r'^ {4}(\w+): (.+(?:\n {5,}.+)*)', entries, re.MULTILINE)

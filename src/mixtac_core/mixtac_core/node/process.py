@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes: their environment, starting them together, watching and ending them.
+"""Child processes: environment, start, supervision and end.
 
-Beside them, what a process in real time does about garbage, priorities and compilation.
+The module also controls garbage collection, priority and compilation of real-time processes.
 """
 
 from __future__ import annotations

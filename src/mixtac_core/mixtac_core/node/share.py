@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files are that packages install beside their modules: parameters, models, messages."""
+"""Paths of the files that packages install beside their modules: parameters, models, messages."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of the sensor graph: name, message type and QoS of each.
 
-`docs/reference.md` describes what each carries, on which clock. Beside them, reading and writing
-the message of the forces.
+`docs/reference.md` describes the content and the clock of each topic. This module also reads and
+writes force messages.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ CONTACT_FRAME = 'mixtac_contact'
 
 
 def frame_prefix(namespace: str) -> str:
-    """Return what the names of the frames of a sensor begin with: nothing in the default one."""
+    """Return the prefix of the frame names of a sensor: nothing in the default one."""
     name = namespace.strip('/').replace('/', '_')
     return '' if name in {'', DEFAULT_NAMESPACE} else f'{name}_'
 

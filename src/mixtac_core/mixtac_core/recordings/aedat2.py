@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """AEDAT 2.0 files of a DAVIS240 or DAVIS346, as jAER records them: their events.
 
-A word of 8 bytes holds an address and a time [us], both big-endian. The address of an event has
-row (9 bits from bit 22), column (10 bits from bit 12, counted from the right) and polarity
-(bit 11). Bit 31 marks pixels of frames and inertial samples, bit 10 edges of the external input:
-they share the stream, and are left out and counted. Rows are numbered as jAER numbers them.
+A word of 8 bytes holds an address and a time [us], both big-endian. The address of an event has row
+(9 bits from bit 22), column (10 bits from bit 12, counted from the right) and polarity (bit 11).
+Bit 31 marks pixels of frames and inertial samples, bit 10 edges of the external input: these are
+skipped and counted. Rows are numbered as jAER numbers them.
 """
 
 from __future__ import annotations

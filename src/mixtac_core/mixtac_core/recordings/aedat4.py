@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""AEDAT4 files of one camera, read and written with dv-processing, which is an optional part.
+"""AEDAT4 files of one camera, read and written with the optional package dv-processing.
 
-Packets of the streams differ in length, often half a second of inertial samples and 10 ms of
-events: they are cut into short pieces and merged by time. Times [us] are those of the file.
-A process of its own reads the file, because dv-processing never returns from some damaged packets.
+Packets of the streams differ in length: often half a second of inertial samples and 10 ms of
+events. They are cut into short pieces and merged by time. Times [us] are those of the file. A
+separate process reads the file, because dv-processing never returns from some damaged packets.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class Aedat4Recording:
         return info
 
     def _received(self, patience_s: float = PATIENCE_S) -> Any:  # noqa: ANN401
-        """Return what the process sent next.
+        """Return the next message of the process.
 
         Raises:
             RecordingError: What the process found, or it stands still or has crashed.

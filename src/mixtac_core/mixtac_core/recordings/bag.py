@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reading bags of ROS 2 (a folder, .mcap or .db3) and ROS 1 (.bag) without rclpy, and their types.
+"""Read bags of ROS 2 (folder, .mcap, .db3) and ROS 1 (.bag) and their types, without rclpy.
 
-An MCAP file that was cut off or damaged is read as far as it is whole
-(`mixtac_core.recordings.mcap_file`).
+The intact part of a truncated or damaged MCAP file is read (`mixtac_core.recordings.mcap_file`).
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ class Repair:
 
     Attributes:
         counts: Messages of the new bag, by topic.
-        damage: What is missing of the old one, empty for nothing.
+        damage: Missing parts of the old bag; empty if none are missing.
     """
 
     counts: dict[str, int]
@@ -132,7 +132,7 @@ class Repair:
 
 
 def repair(path: Path, out: Path) -> Repair:
-    """Write what is whole of a bag as a new one.
+    """Write the intact part of a bag to a new bag.
 
     Args:
         path: Folder, .mcap or .db3 file.
@@ -227,7 +227,7 @@ class BagWriter:
             self.dropped += 1
 
     def close(self) -> None:
-        """Write what is queued and finish the bag.
+        """Write the queued messages and finish the bag.
 
         Raises:
             RecordingError: The bag could not be finished.

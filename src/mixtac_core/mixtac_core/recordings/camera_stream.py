@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Opening a recording, and bags as recordings: events, frames, samples, edges of one camera.
+"""Open a recording; read events, frames, samples and edges of one camera from a bag.
 
 The camera clock is that of the event packets. This driver stamps frames and samples on it as well.
 Other drivers stamp them with host time: they are shifted by the difference between the stamp of the
@@ -203,7 +203,7 @@ class BagRecording:
         return found
 
     def _on_host_clock(self, start_us: int, apart_us: int) -> bool:
-        """Return whether what is beside the events has stamps of the host, not of their clock."""
+        """Return whether data other than events are stamped on the host clock."""
         beside = self._images or self._imu
         if beside is None or abs(apart_us) <= OTHER_CLOCK_US:
             return False

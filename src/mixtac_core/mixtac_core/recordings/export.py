@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as AEDAT4, CSV, HDF5 or NPZ, in one pass; only NPZ is held in memory."""
+"""Export recordings to AEDAT4, CSV, HDF5 or NPZ in one pass; only NPZ is held in memory."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Counts:
             self.grid_us = int(np.gcd.reduce(steps, initial=self.grid_us))
 
     def warnings(self) -> list[str]:
-        """Return what is missing or doubtful, a line each."""
+        """Return missing and doubtful parts, one line for each."""
         found = [self.info.damage] if self.info.damage else []
         found += self.lost.warnings()
         if not self.info.size_known:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Bags from other files: tables in csv, NPZ or HDF5, AEDAT4 files, and forces beside them.
+"""Make bags from CSV, NPZ, HDF5 or AEDAT4 files, with forces from a table.
 
 `mixtac_core.recordings.tables` reads the tables. Times are kept as they are: nothing is aligned.
 """
@@ -58,7 +58,7 @@ def import_recording(
 
     Raises:
         RecordingError: A file cannot be read, the choice is ambiguous, times go backwards, forces
-            on the camera's clock have no time in common with its data, or the bag exists.
+            on the camera's clock do not overlap its data in time, or the bag exists.
         FileError: The bag cannot be written.
     """
     options = options or TableOptions()

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Files in MCAP, read chunk by chunk in their order, so that damage costs what it hit only.
+"""Read MCAP files chunk by chunk, so that damage affects only the chunks that it hit.
 
-A chunk with a wrong checksum is left out; of a file that was cut off, what precedes the cut is
-read. Messages of a chunk are in order of their reception. The index gives the number of messages;
-without one the file is counted once.
+A chunk with a wrong checksum is skipped. A truncated file is read up to the cut. Messages of a
+chunk are in order of their reception. The index gives the number of messages; without an index, the
+messages are counted once.
 """
 
 from __future__ import annotations

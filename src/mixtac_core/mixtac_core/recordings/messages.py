@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS messages of a camera from its readings, and readings from recorded messages.
 
-Messages are those of rclpy or of rosbags: functions that build one take `new`, which returns an
-empty message by type name: `ros_message` or `mixtac_core.recordings.bag.blank_message`. Stamps are
-on the camera clock, epoch-based, except the stamp of an event packet: its arrival on the host.
+Messages are those of rclpy or of rosbags: functions that build a message have the argument `new`, a
+function that returns an empty message of a type: `ros_message` or
+`mixtac_core.recordings.bag.blank_message`. Stamps are on the camera clock, epoch-based, except the
+stamp of an event packet: its arrival on the host.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of recordings: pieces of a camera's stream in recorded order.
 
-Readers of a format are in `camera_stream` (bags) and `aedat4` beside this module.
-Beside it, the file formats that are known by name.
+Readers of a format are in `camera_stream` (bags) and `aedat4` beside this module. The table
+`FORMATS` lists the known file formats.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class ReadCounters:
     other_words: int = 0
 
     def warnings(self) -> list[str]:
-        """Return what is missing, a line each."""
+        """Return the missing parts, one line for each."""
         texts = {
             'packets_missing': 'packets missing',
             'events_outside': 'events outside of the sensor left out',

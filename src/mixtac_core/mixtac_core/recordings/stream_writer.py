@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A camera's readings and forces as the messages of the live graph, in a bag, without rclpy.
+"""Write camera readings and forces to a bag as messages of the live graph, without rclpy.
 
-`mixtac import` and `mixtac.Sensor` record through it: topics, types, QoS and packets are those of
-the driver and of the estimator node.
+`mixtac import` and `mixtac.Sensor` record with it: topics, types, QoS and packets are those of the
+driver and of the estimator node.
 """
 
 from __future__ import annotations

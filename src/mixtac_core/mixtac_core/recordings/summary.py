@@ -55,7 +55,7 @@ class EventSummary:
         return (self.span_us[1] - self.span_us[0]) / 1e6
 
     def warnings(self) -> list[str]:
-        """Return what is doubtful, a line each."""
+        """Return doubtful parts, one line for each."""
         steps = 'steps back in time, by a reset of the clock or disorder'
         texts = {steps: self.backward_steps, 'events outside of the sensor': self.outside}
         return [f'{count} {text}' for text, count in texts.items() if count]

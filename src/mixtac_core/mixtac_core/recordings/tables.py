@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of events, frames, inertial samples and forces in CSV, NPZ and HDF5 files.
 
-Columns have documented names (`COLUMNS`). CSV files are separated by commas, or by white space
-where their lines hold none; lines that begin with `#` are comments, and a first line of two
+Columns have documented names (`COLUMNS`). CSV files are separated by commas, or by white space if
+their lines contain no comma; lines that begin with `#` are comments, and a first line of two
 integers before lines of four columns is the size of the camera. HDF5 files may have the layout of
 the DSEC data set (`events/p, x, y, t` and `t_offset`); events may be one array of four columns.
 """
@@ -252,7 +252,7 @@ class Tables:
 
 
 def open_tables(path: Path, name: str = 'events', group: str = '') -> Tables | None:
-    """Return the tables of a path; None for an AEDAT4 file, a bag or what is no table.
+    """Return the tables of a path; None for AEDAT4, a bag, or a file that is no table.
 
     Args:
         path: File or folder.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The files of exported data: tables in CSV, NPZ and HDF5, a row per reading, units beside them."""
+"""Write exported data as tables in CSV, NPZ or HDF5: one row per reading, with units."""
 
 from __future__ import annotations
 

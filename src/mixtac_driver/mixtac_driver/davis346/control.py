@@ -75,8 +75,8 @@ def _address(write: Write) -> tuple[int, int]:
 class CameraControl:
     """Keeps a camera to its settings, over any number of times that it is opened.
 
-    One request runs at a time; the others wait, except `set_exposure`. It remembers what it wrote,
-    and later writes what differs from it.
+    One request runs at a time; the others wait, except `set_exposure`. It remembers the written
+    values, and later writes only values that differ.
 
     Args:
         parameters: Settings.

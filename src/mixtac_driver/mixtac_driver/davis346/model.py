@@ -5,7 +5,7 @@
 `CameraModel` describes one camera of the DAVIS family; the sizes and the orientation of the arrays
 are read from the camera itself. Other packages add models by the entry-point group
 `mixtac.camera_models`. Cameras that fit no model are refused. A logic that lacks a block ignores
-the registers of it, and reads them as zero.
+writes to its registers, and reads them as zero.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 """Decoder of the data stream: bytes of USB transfers in; events, frames and samples out.
 
 Words are 16-bit, little-endian and independent of transfers, so everything incomplete is kept from
-one transfer to the next. That includes half a word: an odd byte at the end of a full transfer
-waits for its other half. At the end of a short packet it is dropped and counted, because the camera
-ended the packet there.
+one transfer to the next. That includes half a word: an odd byte at the end of a full transfer is
+kept until its other half arrives. At the end of a short packet it is dropped and counted, because
+the camera ended the packet there.
 
 Per transfer, the decoder creates a handful of small Python objects and no array of events: batches
 are views of its own arrays. Only frames, inertial samples and edges are copied out.

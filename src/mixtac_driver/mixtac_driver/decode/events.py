@@ -24,7 +24,7 @@ _EVENT = (1, 0xFFFFFFFF, 0)
 _STAMP = (0, 0x0000FFFF, 0x10000)
 _KINDS = (_EVENT, _ROW, _EVENT, _EVENT, *[_EVENT] * 4, *[_STAMP] * 8)
 _ADVANCE, _KEEP, _SCALE = np.array(_KINDS, np.uint64).T.copy()
-"""What a word of a block does, by its bits 15:12. The output advances by _ADVANCE. The header, time
+"""Effect of a word of a block, by its bits 15:12. The output advances by _ADVANCE. The header, time
 stamp (bits 31:16) and row (15:0) of the next events, becomes `header & _KEEP + word * _SCALE`."""
 Words = Any
 Record = Any

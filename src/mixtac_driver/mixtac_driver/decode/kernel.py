@@ -12,7 +12,8 @@
 | 5, 6 | data of frames and inertial samples |
 | 7 | wrap of the time stamp |
 
-Event words and frame samples, nearly all of a busy stream, are taken many at a time where possible.
+Event words and frame samples, nearly all of a busy stream, are decoded many at a time where
+possible.
 
 Inertial samples come as a start word, an info byte, up to 14 bytes of payload and an end word. The
 info byte says which groups follow: acceleration (bytes 0 .. 5), temperature (6, 7) and rotation

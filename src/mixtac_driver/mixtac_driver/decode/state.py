@@ -36,10 +36,10 @@ READINGS_CAPACITY = 256
 
 @dataclass(frozen=True, slots=True)
 class DecoderCounters:
-    """What the decoder saw, dropped and did not understand since it was created.
+    """Counts of decoded, dropped and unknown data since the decoder was created.
 
     Every word counts in `words` and in exactly one of the counters that `words_accounted` adds up.
-    The other counters describe what became of these words.
+    The other counters describe the result for these words.
 
     Attributes:
         words: Words decoded.

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Asynchronous reads through libusb: many wait at the endpoint at once.
+"""Asynchronous reads through libusb: many reads are queued at the endpoint at once.
 
 pyusb knows libusb's structures but waits for one transfer at a time
 (https://libusb.sourceforge.io/api-1.0/group__libusb__asyncio.html). The camera's own buffer holds
-only a few milliseconds of data at full rate, and a Python process can be busy for longer. Reads
-that wait are filled by the kernel meanwhile: 128 of 64 KiB hold 8 MiB, more than 100 ms of the
-sensor's highest rate of about 65 MB/s. There is no reader thread: the consumer collects what has
-arrived whenever it asks, because waking a thread for every transfer would cost more than the
-transfer itself.
+only a few milliseconds of data at full rate, and a Python process can be busy for longer. Meanwhile
+the kernel fills the queued reads: 128 reads of 64 KiB hold 8 MiB, more than 100 ms at the sensor's
+highest rate of about 65 MB/s. There is no reader thread: the consumer collects what has arrived
+whenever it asks, because waking a thread for every transfer would cost more than the transfer
+itself.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A recording, and its clock map by two taps or by the edges of a trigger line.
+"""The clock map of a recording, from two taps or from the edges of a trigger line.
 
-Where a trigger line gives edges to the camera and to the reference sensor, these are exact to
-microseconds, but an edge of one recording has no name in the other: the map is the one under which
-the most edges meet. Edges at equal distances meet under many; they are refused unless both
-recordings hold the same number.
+A trigger line sends the same edges to the camera and to the reference sensor. Their times are exact
+to microseconds, but nothing identifies an edge in both recordings. The fit selects the map under
+which the most edges coincide. Edges at equal intervals coincide under many maps; they are rejected
+unless both recordings contain the same number of edges.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The linear map from the camera clock to the reference clock, with its uncertainty.
 
-The paper's relation (section Aligning Data) is :math:`t_F = a\,t_E + b`. At epoch times, 1.7e9 s,
-a change of `a` by one ppb moves `b` by 1.7 s: `a` and `b` lose their digits to each other. The fit
-is therefore kept about two epochs near the middle of the anchors, all in seconds:
+The paper's relation (section Aligning Data) is :math:`t_F = a\,t_E + b`. At epoch times, 1.7e9 s, a
+change of `a` by one ppb changes `b` by 1.7 s, so the rounding of one ruins the other. The fit is
+therefore relative to two epochs near the middle of the anchors, all in seconds:
 
 .. math:: t_F - T_F = a\,(t_E - T_E) + b
 

@@ -7,15 +7,16 @@ events. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 
 separated from the offset `b` and stays in it: a camera time maps to the stamp of the sample that
 shows the force of that moment.
 
-The pairing needs no knowledge of the clocks. `prefer_isolated` first leaves out impulses without
-stillness on both sides: a deliberate tap has it, a bouncing load has not. Two impulses of one
-recording laid over two of the other propose a map, if the time between them agrees within the drift
-that clocks may have. The map under which most impulses meet wins (`pair_impulses`).
+The pairing needs no knowledge of the clocks. `prefer_isolated` first discards impulses without a
+still interval before and after them: a deliberate tap has both, a bouncing load does not. Two
+impulses of one recording and two of the other define a candidate map, if the intervals between them
+agree within the largest drift of the clocks. `pair_impulses` selects the candidate under which the
+most impulses coincide.
 
-`paired_impulses` does all of this (paper, section Aligning Data). Stretches without data are found
-first: events missing where noise alone would have made some are marked as lost (`mark_gaps`), and a
-force recording with a gap is refused (`require_continuous`), because the clock behind it may be
-another.
+`paired_impulses` does all of this (paper, section Aligning Data). Intervals without data are found
+first. An interval without events, where noise alone would cause some, is marked as lost
+(`mark_gaps`). A force recording with a gap is rejected (`require_continuous`), because its clock
+may have changed at the gap.
 """
 
 from __future__ import annotations
@@ -171,9 +172,9 @@ def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Im
 QUIET_S: Final = 0.3
 """How long before and after a tap nothing may happen [s]."""
 IMPULSE_S: Final = 0.08
-"""Time around an impulse that belongs to it [s]."""
+"""Time before and after an impulse that counts as part of it [s]."""
 DISTURBANCE_SHARE: Final = 0.25
-"""What counts as something happening: this part of the impulse's own height."""
+"""Smallest disturbance, as a share of the height of the impulse itself."""
 
 
 def prefer_isolated(
@@ -184,7 +185,7 @@ def prefer_isolated(
     Args:
         impulses: Impulses found in a signal.
         time_s: Times of the signal [s], increasing, on the impulses' clock.
-        signal: What the impulses stand out of: event rate or force, in any unit.
+        signal: The signal in which the impulses were found: event rate or force, in any unit.
     """
     height = np.abs(signal - np.median(signal))
     chosen = [impulse for impulse in impulses if _is_isolated(impulse.time_s, time_s, height)]
@@ -207,7 +208,7 @@ MOST_IMPULSES: Final = 24
 MATCH_S: Final = 0.02
 """Largest disagreement of a burst and a force peak that are the same tap [s]."""
 RIVAL: Final = 0.8
-"""A second map that explains this part of what the best explains makes the answer ambiguous."""
+"""If a second map explains this share of what the best map explains, the result is ambiguous."""
 
 
 @dataclass(frozen=True, slots=True)

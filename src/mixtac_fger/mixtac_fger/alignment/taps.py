@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""The clock map from whole taps: all their events against the whole course of the force.
+r"""The clock map from complete taps: all their events are compared with the force curve.
 
-Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This needs no trough,
-which pixels with unequal thresholds can hide or double. The frames, laid over the force by that
-map, show which parts of the image brighten under force. The signed events of each tap are then
-fitted with the events that the course of the force predicts.
+Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This step does not use
+the trough between the two bursts of a tap, which pixels with unequal thresholds can hide or double.
+With this first map, frames and force are compared, which shows the parts of the image that brighten
+under force. The signed events of each tap are then fitted with the events that the force curve
+predicts.
 
 The force, through the lag of the gel, gives the depth of the tap, :math:`d \propto \sqrt{F_e}` (the
 force of a ball on a thin layer grows with the square of its depth). Pixels whose log brightness
@@ -16,10 +17,11 @@ burst starts late and is smaller, because pixels must first come back by their t
 events count with opposite signs, weighted by how much each part of the image brightens under force
 in the frames, so that bursts without deformation cancel.
 
-A pixel that a load has brightened and that has come back last fired OFF, so it stands nearer to its
-OFF threshold: the next load shows later in it than in a pixel at a random distance. Noise and leak
-spread the pixels again. At the first tap of a recording all pixels are assumed to be spread evenly;
-at later taps half of them are assumed to stand where a load left them.
+The last event of a pixel that a load brightened and released is OFF, so the pixel is nearer to its
+OFF threshold than to its ON threshold. It responds to the next load later than a pixel at a random
+distance from its thresholds. Noise and leak make these distances random again. At the first tap of
+a recording, the distances of all pixels are assumed to be uniformly distributed; at later taps,
+half of the pixels are assumed to be in the state after a load.
 """
 
 from __future__ import annotations
@@ -225,12 +227,12 @@ class TapModel:
 def tap_signal(
     events: CellEvents, at_us: int, weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return edges of bins [s] from a moment, and the signed weighted events in them.
+    """Return the edges of time bins around a moment [s], and the signed events in each bin.
 
     Args:
         events: Events, camera clock.
         at_us: The moment, camera clock [us].
-        weight: Weight of each cell.
+        weight: Weight of each cell by which its events are multiplied.
     """
     start, count = at_us - round(1e6 * BEFORE_S), round(1e6 * (BEFORE_S + AFTER_S)) // BIN_US
     near = events.between(start, start + count * BIN_US)

@@ -184,7 +184,7 @@ FUSION_PLACE = 'section IV-D, Fig. 6'
 
 @experiment
 def fusion(context: Context) -> Outcome:
-    """FGER-Net against feature-level fusion, on static forces."""
+    """FGER-Net compared with feature-level fusion, on static forces."""
     found = profile_estimates(context, 'static')
     rows = []
     for model, by_seed in found.items():

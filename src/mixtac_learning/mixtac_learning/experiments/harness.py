@@ -434,9 +434,9 @@ def make_command(name: str, text: str | None) -> Callable[..., None]:
     """Return the command that runs an experiment, or all for the name `all`."""
 
     def command(
-        more: Annotated[OptionalStrings, typer.Argument(help='More experiments.')] = None,
+        more: Annotated[OptionalStrings, typer.Argument(help='Further experiments to run.')] = None,
         quick: Annotated[
-            bool, typer.Option('--quick', help='Takes minutes; the results mean nothing.')
+            bool, typer.Option('--quick', help='Run for minutes only; results are meaningless.')
         ] = False,
         json: JsonFile = None,
         out: Annotated[

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of all models, trained with several seeds and tested on the same trials.
 
-By the protocol `paper` these are the trials of one session, split at random; by `other_days` the
-tests are other days of the sensor.
+With the protocol `paper`, the trials of one session are split at random. With `other_days`, the
+test trials are from other days of the same sensor.
 """
 
 from __future__ import annotations

@@ -257,7 +257,7 @@ Results = dict[str, list[dict[str, Any]]]
 
 @experiment
 def slip(context: Context) -> Outcome:
-    """Objects that are knocked, in closed loop."""
+    """Slip control of objects that are struck, in closed loop."""
     grasped = context.sizes.grasps
     plans = [
         TrialPlan(name, FIRST_SEED + 1000 * at + k, margin=MARGIN, preset=PRESET)

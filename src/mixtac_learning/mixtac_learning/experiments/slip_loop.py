@@ -3,10 +3,11 @@
 """Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
 
 The loop is faster than real time and reproducible. The delays that the real chain adds between the
-parts are constants. The force is that of the sensor itself, calibrated as its owner would. A grasp
-begins with the object held, so that the no-contact reference and the gains come from before: still
-frames of the same day without contact, and on other days, elsewhere on the gel, a press with known
-forces and a mass on a thread, as in `calibrate-force --sideways-loads`.
+parts are constants. The force is the estimate of the simulated sensor, calibrated as a user would
+calibrate it. A grasp begins with the object already held, so the no-contact reference and the gains
+are measured before it: the reference in still frames of the same day without contact, and the gains
+on other days, elsewhere on the gel, by a press with known forces and a mass on a thread, as in
+`calibrate-force --sideways-loads`.
 """
 
 from __future__ import annotations

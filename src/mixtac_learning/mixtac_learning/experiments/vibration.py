@@ -192,7 +192,7 @@ Found = tuple[float, dict[str, Any]]
 
 @experiment
 def vibration(context: Context) -> Outcome:
-    """Tones of 50 to 450 Hz: which frequency the events show."""
+    """Tones of 50 to 450 Hz: frequency measured from events."""
     sizes = context.sizes
     cases = [
         (kind, tone, size, FIRST_SEED + seed)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates of models over trials, as they would run live; trials that cannot be used are named."""
+"""Run models over trials as on a live stream; trials that cannot be used are reported."""
 
 from __future__ import annotations
 
@@ -306,7 +306,7 @@ def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> 
             judged.skipped[source.name] = str(error)
     if not judged.estimates:
         first = next(iter(judged.skipped.values()), 'there are none')
-        raise DatasetError(f'none of {len(judged.skipped)} trials can be judged: {first}')
+        raise DatasetError(f'none of {len(judged.skipped)} trials can be evaluated: {first}')
     return judged
 
 

@@ -257,9 +257,9 @@ SERIES_UNITS = {'stamp': 'us, camera clock', 'force': 'N', 'deviation': 'N', 're
 def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
     """Write forces over time to a CSV file, a row per window.
 
-    Columns: name of the trial; end of the window, camera clock [us]; force [N]; its standard
-    deviation [N], NaN from a model that gives none; whether the force is valid, and the name of the
-    reason why not; the known force [N]. A force of a model without checks counts as valid.
+    Columns: name of the trial; end of the window, camera clock [us]; force [N]; standard deviation
+    of the force [N], NaN if the model estimates none; whether the force is valid; reason if it is
+    not valid; known force [N]. A force of a model without checks counts as valid.
 
     Args:
         path: File.
@@ -318,7 +318,7 @@ def run_evaluation(
 
     Raises:
         ModelError: The weight file cannot be used.
-        DatasetError: No trial can be judged.
+        DatasetError: No trial can be evaluated.
         FileError: A file cannot be written.
     """
     model = read_model(path)

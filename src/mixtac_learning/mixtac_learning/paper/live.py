@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's networks on a live stream, on a GPU where there is one, otherwise on the CPU.
 
-A window is computed as in `mixtac_learning.paper.samples.run_samples`, one at a time. Two things
-differ from it: the events between two frames, which the deep fusion reads, are counted in whole
+A window is computed as in `mixtac_learning.paper.samples.run_samples`, one at a time. There are two
+differences. The events between two frames, which the deep fusion reads, are counted in whole
 windows, and a frame that arrives late belongs to a later window.
 """
 

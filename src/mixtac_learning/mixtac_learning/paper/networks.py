@@ -272,7 +272,7 @@ class FrameModel(nn.Module):
         return PaperState(none, none, force, none, seen, withheld, share)
 
     def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
-        """Return what the head reads of each frame, [N, size]; inputs as in `SegmentBatch`."""
+        """Return the input of the head from each frame, [N, size]; inputs as in `SegmentBatch`."""
         raise NotImplementedError
 
     def force_of(self, features: Tensor) -> Tensor:

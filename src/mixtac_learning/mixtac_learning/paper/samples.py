@@ -170,7 +170,7 @@ def load_paper_sample(path: Path) -> PaperSample:
 
 
 def make_paper_sample(config: PaperConfig, trial: TrialArrays) -> PaperSample:
-    """Return a trial as the networks see it, from the arrival of its first frame on.
+    """Return the network inputs of a trial, from the arrival of its first frame to the end.
 
     Args:
         config: Shapes.

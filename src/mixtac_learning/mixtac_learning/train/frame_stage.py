@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first stage of training FGER-Net: the frame network and the gains of the sensors.
 
-It begins with the forces of the moments alone, and what the convolutions add is kept small. The
-losses of forces are those of the later stages too, and so are the sequences: trials side by side,
-in groups from disk, mirrored at random.
+It begins with the forces of the moments alone, and a penalty keeps the part of the convolutions
+small. The later stages use the same force losses and the same sequences: trials side by side, in
+groups from disk, mirrored at random.
 """
 
 from __future__ import annotations
@@ -205,10 +205,11 @@ torsion at all.
 class NetworkWithGains(nn.Module):
     """FGER-Net and the gains of the sensors of the training data.
 
-    How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
-    training data has a gain of the normal force and one of the force across it, learned with the
-    frame network and drawn towards 1, and the network learns the force on a gel of usual stiffness.
-    A new sensor's gains are 1 until it is calibrated (`mixtac_learning.judge.metrics`).
+    How stiff a gel is cannot be seen: force is stiffness times the visible displacement. So each
+    sensor of the training data has a gain of the normal force and one of the force across it,
+    learned with the frame network and drawn towards 1, and the network learns the force on a gel of
+    usual stiffness. A new sensor's gains are 1 until it is calibrated
+    (`mixtac_learning.judge.metrics`).
 
     Args:
         config: Network configuration.
@@ -327,7 +328,7 @@ def mean_error(
 
 @dataclass(eq=False)
 class FgerStage(Stage):
-    """What the stages of FGER-Net share.
+    """Data and settings that the stages of FGER-Net share.
 
     Attributes:
         name: `frames`, `recurrent`, `joint` or `deviation`.

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training of the paper's networks in stages: frames, changes of force, recurrent path, all.
 
-The paper fixes layers, epochs, batch and rate. How a sequence begins, how long it is and how each
-path learns is open: here the frame network learns from single frames first and the event path from
-changes of the force within short stretches. The recurrent path then runs through whole trials from
-their beginning, without any true force.
+The paper defines layers, epochs, batch size and learning rate. It does not define the start and the
+length of a sequence, nor the training of each path. Here the frame network learns from single
+frames first and the event path from changes of the force within short stretches. The recurrent path
+then runs through whole trials from their beginning, without any true force.
 """
 
 from __future__ import annotations

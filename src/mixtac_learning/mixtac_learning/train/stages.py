@@ -3,11 +3,11 @@
 """Training FGER-Net in stages: frame network, recurrent path, both together, uncertainty head.
 
 The uncertainty head learns from the errors of the finished network. Its likelihood is Laplacian, as
-errors have heavy tails. Its scale is fitted afterwards on held-out trials, so that one deviation to
-both sides covers as much as that of a Gaussian does. Errors within one trial are correlated: n
-trials determine the scale as n draws do, and a further trial spreads like Student's t with n
-degrees of freedom. The gains of the sensors are not used here, because the error caused by an
-unknown stiffness belongs to the uncertainty.
+errors have heavy tails. Its scale is fitted afterwards on held-out trials, so that an interval of
+one deviation to both sides covers as much as for a Gaussian. Errors within one trial are
+correlated: n trials determine the scale like n independent draws, and a further trial spreads like
+Student's t with n degrees of freedom. The gains of the sensors are not used here, because the error
+caused by an unknown stiffness belongs to the uncertainty.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def host_to_camera_us(
         DatasetError: There are no pairs.
     """
     if not pairs:
-        raise DatasetError('no camera_clock in the bag, on which a host time could be placed')
+        raise DatasetError('the bag has no camera_clock, so host times cannot be converted')
     table = np.array(pairs, np.int64)
     since = (host_ns - table[0, 0]) / 1000.0
     host, ahead = (table[:, 0] - table[0, 0]) / 1000.0, (table[:, 1] - table[:, 0]) / 1000.0
@@ -175,7 +175,7 @@ class BagSource:
     shown: str = ''
 
     def damage(self) -> str:
-        """Return what is missing of the bag; empty for a sound one.
+        """Return the missing parts of the bag; empty if it is complete.
 
         Raises:
             RecordingError: Nothing of it can be read.
@@ -190,7 +190,7 @@ class BagSource:
 
     @property
     def origin(self) -> dict[str, Any]:
-        """The bag's path and what is known of it."""
+        """Path and known properties of the bag."""
         return {'bag': str(self.path)} | self.described | {'name': self.name}
 
     def content_key(self) -> str:

@@ -165,7 +165,7 @@ def window_ends(
     last_us = int(min(label.t_us[-1], camera_end_us(trial)))
     if last_us < first_us + window_us:
         raise DatasetError(
-            'the camera and the force sensor have no time in common: check the clock fit'
+            'camera and force sensor data do not overlap in time: check the clock fit'
         )
     return np.arange(first_us, last_us + 1, window_us, dtype=np.int64)
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's messages of a simulated trial, transfer by transfer, and the clocks of the trial.
 
-The camera sends its data every millisecond, as the driver requests; the host receives them
-a little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's
-own clock map, and inertial samples are rounded to the camera's sixteen bits.
+The camera sends its data every millisecond, as the driver requests; the host receives the data a
+little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's own
+clock map, and inertial samples are rounded to the camera's sixteen bits.
 
 True time counts from the start of the trial. The host's clock runs with true time; the camera's
 begins with the trial, as the driver resets it, and runs a little fast or slow; the reference

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A grasp that the sensor watches: fingertip, object, skin and camera advance in lock-step.
 
-The fingertip presses gel, mesh and object in series; the object falls or is struck against the
-pull of the skin and the friction of the wall. At the start both hold it with the smallest
-force that does so, times a margin.
+The fingertip presses gel, mesh and object in series; the object falls or is struck against the pull
+of the skin and the friction of the wall. At the start, they hold it with the smallest sufficient
+force times a margin.
 """
 
 from __future__ import annotations
@@ -206,15 +206,16 @@ class Grasp:
     Args:
         setup: Object, force and impact.
         device_seed: Seed of the sensor.
-        seed: Seed of the trial: conditions, surface of the object, noise.
+        seed: Seed of the trial, for conditions, surface of the object and noise.
         preset: Difficulty of the sensor.
-        camera: Simulate the camera; without it a trial takes milliseconds.
-        rest_s: Time for which the smallest force holds the object, fingertip at rest [s].
+        camera: Whether to simulate the camera. Without it, a trial takes milliseconds to compute.
+        rest_s: Time for which the smallest force must hold the object while the fingertip rests
+            [s].
 
     Attributes:
         device: The sensor.
         critical_n: Smallest normal force that holds the object, to 2 % [N].
-        grasp_n: Normal force of the grasp [N]: the margin times that.
+        grasp_n: Normal force of the grasp [N]: the margin times `critical_n`.
         stiffness_n_per_mm: Stiffness of the contact at the grasp force [N/mm].
         camera: The camera, None without one.
     """
@@ -288,8 +289,8 @@ class Grasp:
         """Advance by one block.
 
         Args:
-            advance_mm: Place of the fingertip at the end of each step of 125 us, towards the
-                object from where the grasp began [n] [mm].
+            advance_mm: Displacement of the fingertip towards the object since the start of the
+                grasp, at the end of each step of 125 us [n] [mm].
         """
         return self._go_on(self._press.move(advance_mm))
 
@@ -313,7 +314,7 @@ class Grasp:
         return self._seen(contact, path, patches)
 
     def _go_on(self, contact: ContactPath) -> GraspBlock:
-        """Move the object by what the contact allows, and look at the skin."""
+        """Move the object as far as the contact allows, and evaluate the skin."""
         normal = contact.force_n
         count = len(normal)
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))

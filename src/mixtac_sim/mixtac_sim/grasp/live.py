@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A grasp in real time, and a clock that waits for slip control and arm if asked to.
+"""A grasp in real time, and an optional clock that waits for slip control and arm.
 
-A loop that is closed through other processes must not act on old data: on a slow host simulated
-time runs slower, so that nodes that take their time from `/clock` act as soon after an event as
-on a fast host.
+A loop through other processes must not act on old data. On a slow host, simulated time therefore
+runs slower, and nodes that use `/clock` respond to an event as early in simulated time as on a fast
+host.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The skin under a held object: its press, patches that stick and slip, beads that move with them.
+"""The skin under a held object: normal force, stick and slip of patches, motion of beads.
 
 The gel under each patch is a shear spring to the mesh, neighbours pull at each other through the
 skin, and a skin that moves sends a shear wave into the gel, which resists its speed (the

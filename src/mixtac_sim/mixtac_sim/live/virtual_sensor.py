@@ -3,10 +3,10 @@
 """The virtual sensor in real time: simulation, virtual camera and reference force side by side.
 
 The simulation runs a little ahead of the clock, because a frame must be known before its readout
-begins. While a scenario plays whose future is known, it runs further ahead, so that an impact,
-which takes longer to compute than it lasts, is ready in time. Camera, truth and reference hand
-everything over when its time has come. Simulated time stops while the host is behind: nothing is
-lost, and the loss of time is counted.
+begins. While a scenario plays, its future is known and the simulation runs further ahead. An
+impact, which takes longer to compute than it lasts, is then ready in time. Camera, truth and
+reference output all data at their simulated time. Simulated time pauses while the host is behind:
+no data are lost, and the lost time is counted.
 
 A node simulates in a process of its own: in one process, the simulation and the threads that feed
 USB and topics share an interpreter lock, and together they get no more than one core.
@@ -89,7 +89,7 @@ class SimulationClock:
 
 
 PERIOD_S: Final = 0.002
-"""Period in which data are handed over [s]: on two cores, waking the reader more often costs more
+"""Period in which data are output [s]: on two cores, waking the reader more often costs more
 than reading."""
 CHUNK_US: Final = 4000
 """Simulated time of one call of the simulation [us]."""
@@ -247,7 +247,7 @@ class VirtualSensor:
         return self._simulated_us + 2 * CHUNK_US
 
     def time_ns(self) -> int:
-        """Return the time up to which everything was handed over; it never runs backwards.
+        """Return the time up to which all data were output; it never runs backwards.
 
         Returns:
             Host time at the start, plus simulated time since [ns since the Unix epoch].

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Contact of an indenter with the viscoelastic layer on its mesh, in time.
+"""Contact of an indenter with the viscoelastic layer on its mesh, over time.
 
 Commands lie on a fixed grid of 125 us; a falling body is integrated in sixteenths of it. Positions
 count from the free skin, inwards; the skin recovers from a dent with the times of its relaxation,

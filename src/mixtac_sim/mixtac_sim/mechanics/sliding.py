@@ -12,10 +12,11 @@ indenter's way x against the skin, in units of stiffness and largest pull, is
     2 / 3 [1 - (2 - sqrt(1 + 8 x'))^2] / (3 pi / 16),  x' = 9 pi / 256 x   (turn; Deresiewicz 1954)
 
 and beyond its end the whole contact slides; without partial slip it sticks up to there. Under a
-round body friction bears a torque of 3 pi / 16 mu F a. Of partial slip nothing is remembered
-(a reversal has no loop of its own), and a slide and a turn do not share the friction. Rolling moves
-the contact and pulls at nothing: free rolling without creep, and without the skin's loss. Where
-a force pulls at the indenter, its way follows from these laws; beyond friction it slides.
+round body friction bears a torque of 3 pi / 16 mu F a. Partial slip has no memory (a reversal
+causes no hysteresis loop), and a slide and a turn do not share the friction. Rolling moves the
+contact without a sideways force: free rolling without creep, and without the loss in the skin. If a
+force pulls at the indenter, its displacement follows from these laws; beyond the friction limit it
+slides.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 """Draws what moves: the discs of the beads, and the mesh that sags under load.
 
 Beads are blurred discs in a sum kept in fixed point, so removing a disc restores every bit of what
-was there before: only beads that moved are redrawn, and no error grows. How the sum covers what
-lies behind it is up to the pixels (`mixtac_sim.pixels.dvs`).
+was there before: only beads that moved are redrawn, and no error grows. The pixels
+(`mixtac_sim.pixels.dvs`) compute how the sum covers the background.
 
 The light of the mesh is tabulated over its sag and blended between the tables, as its wires move by
 less than their blur from one table to the next.

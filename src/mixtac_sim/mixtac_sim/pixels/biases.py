@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the event pixels, how bias currents set them, and how pixels of a chip differ.
 
-Bias currents follow jAER's formulas (DavisConfig, AddressedIPotCF): thresholds are
-(kappa_n / kappa_p^2) (C2 / C1) ln(I / I_diff), the corner of the source follower is
-I_sf / (2 pi U_T C1), the refractory time C V / I_refr. They hold to a factor, so they predict the
-effect of a change of a bias better than the absolute value.
+Bias currents follow jAER's formulas (DavisConfig, AddressedIPotCF): thresholds are (kappa_n /
+kappa_p^2) (C2 / C1) ln(I / I_diff), the corner of the source follower is I_sf / (2 pi U_T C1), the
+refractory time C V / I_refr. They are accurate to a factor only, so they predict the effect of a
+change of a bias better than absolute values.
 """
 
 from __future__ import annotations

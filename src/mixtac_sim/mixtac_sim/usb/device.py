@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual DAVIS346 as a USB device: control requests in, data out, no transport.
 
-Any number of threads may call it: usually one produces data, and one per connection asks.
+It may be called from any number of threads: usually one that produces data, and one per connection.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class VirtualDavis346:
             timeout_s: Longest wait of the host [s]; None waits without limit.
 
         Returns:
-            The answer, empty for requests to the device.
+            The response; empty for requests to the device.
 
         Raises:
             UsbStall: The device does not know the request or refuses its content.

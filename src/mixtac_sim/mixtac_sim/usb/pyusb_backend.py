@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The host side of the virtual camera: a pyusb backend with it as the only device.
 
-The camera is reached through a link, which is one session of a host: `SocketLink` talks to a
-server in another process (entry point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a
-device in this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where USB would fail
-so.
+The camera is reached through a link, which is one session of a host: `SocketLink` talks to a server
+in another process (entry point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a device
+in this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where real USB would fail
+in the same way.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stream of the camera: from the data of the sensor to the bytes in the output buffer.
 
-The simulation hands over events, frames and inertial samples ahead of time; each is sent when its
-time on the camera's clock has come, and only if the register settings of that moment let it:
-event filters, region of interest, enabled modules. The buffer is a bounded ring of bytes.
+The simulation provides events, frames and inertial samples ahead of time. Each is sent at its time
+on the camera clock, and only if the register settings at that time allow it: event filters, region
+of interest, enabled modules. The buffer is a bounded ring of bytes.
 """
 
 from __future__ import annotations

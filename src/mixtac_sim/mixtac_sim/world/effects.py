@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Difficulty of the simulated sensor: ten effects with their ranges, and three presets of them.
 
-A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no
-spread. Spreads are estimates wherever the modules that use them do not name a source. Defaults
-are those of the preset `easy`; ``presets.yaml`` beside this file holds the other presets, and what
-an effect becomes when it is switched off.
+A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no spread.
+Spreads are estimates wherever the modules that use them do not name a source. Defaults are those of
+the preset `easy`; ``presets.yaml`` beside this file holds the other presets, and the values of
+effects that are switched off.
 """
 
 from __future__ import annotations

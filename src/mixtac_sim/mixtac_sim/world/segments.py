@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of a contact: segments of a force, a place or a drop, of a trial or live.
+"""Commands of a contact: segments of force, position or drop, for a trial or live.
 
 A `Profile` holds the segments of a whole trial. `LiveProfile` replaces it for the live sensor:
 nothing touches the sensor until a scenario is played.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One simulated trial: all at once (`simulate_trial`), or stretch by stretch (`TrialStream`).
+"""One simulated trial: at once (`simulate_trial`), or part by part (`TrialStream`).
 
 Streaming needs little memory however long the trial is.
 """

@@ -3,9 +3,9 @@
 """Whether the arm follows the plan, and whether its controller received every plan in time.
 
 Measured joint positions are compared with the plan over the time by which the arm may lag: along
-the advance by distance, across it joint by joint. The sag of the arm at the start is left out.
-Commanded positions, where the controller reports them, are compared over one period: they leave the
-plan when a trajectory was taken up too late.
+the advance by distance, across it joint by joint. The sag of the arm at the start is subtracted.
+Commanded positions, where the controller reports them, are compared over one period: they deviate
+from the plan when the controller started a trajectory too late.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ REST_RAD: Final = 1e-6
 
 
 class FollowingWatch:
-    """Compares what the arm and its controller report with the plan.
+    """Compares the reports of the arm and of its controller with the plan.
 
     All times are on the clock of trajectories [s].
 
     Args:
         parameters: Lead and name of the controller.
-        planner: Makes the plan.
+        planner: Planner of the motion.
 
     Attributes:
-        lost: Why the arm is not where the plan leads it; empty if it is. Kept until the next start.
+        lost: Why the arm does not follow the plan; empty if it does. Kept until the next start.
         needs_commands: Whether the commanded positions must arrive.
     """
 
@@ -71,20 +71,20 @@ class FollowingWatch:
 
     @property
     def ready(self) -> bool:
-        """Whether the arm was seen where the plan begins: before that nothing may move it."""
+        """Whether the arm was measured at the start of the plan; it may not be moved before."""
         return self._sag is not None or self._planner.line is None
 
     def start(self, settled_s: float, measured: Floats, commanded: Floats | None) -> None:
         """Watch a plan from rest.
 
         Args:
-            settled_s: From when the arm is where the plan begins [s].
+            settled_s: Time from which the arm is at the start of the plan [s].
             measured: Joint positions (n,) [rad].
-            commanded: Commanded joint positions (n,) [rad]; None where the arm is led to the
-                measured ones first.
+            commanded: Commanded joint positions (n,) [rad]; None if the arm is first moved to the
+                measured ones.
 
         Raises:
-            ArmError: The arm is far from where it is commanded to be.
+            ArmError: The arm is far from its commanded positions.
         """
         self.lost = ''
         self._from_s, self._sag = settled_s, None
@@ -152,7 +152,7 @@ class FollowingWatch:
         return self._unwatched(now_s)
 
     def fault(self, now_s: float) -> str | None:
-        """Return why the plan must not go on, or None."""
+        """Return why the plan must stop, or None."""
         return self.lost or self._unwatched(now_s)
 
     def _unwatched(self, now_s: float) -> str | None:
@@ -164,7 +164,7 @@ class FollowingWatch:
         )
 
     def _check_sag(self, off: Floats) -> None:
-        """Note that a joint is too far from its place; differences are (n,) [rad]."""
+        """Record that a joint is too far from its position; differences are (n,) [rad]."""
         joint = int(np.abs(off).argmax())
         if abs(off[joint]) > MAX_SAG_RAD:
             self.lost = (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the joints of an arm, and checks of a joint state.
+"""Limits of the joints of an arm, and checks of a joint state against them.
 
 Limits of position, velocity, acceleration and jerk of each joint; checks of ranges, workspace and
 distance to singularities.

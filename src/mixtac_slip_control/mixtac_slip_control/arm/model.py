@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The arm that the parameters name, with planner and checks, and what drives it.
+"""The arm selected by the parameters, with its planner, its checks and its backend.
 
 The parameter `arm_backend` names the backend: `trajectory` is built in, others are entry points of
 the group `mixtac.arm_backends`. An entry point is called with the parameters of slip control and

@@ -49,7 +49,7 @@ GRID_NS: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """Limits of the advance that keep every joint and the tip within their own.
+    """Limits of the advance that keep every joint and the tip within their limits.
 
     Attributes:
         speed: [m/s].
@@ -64,7 +64,7 @@ class MotionLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLine:
-    """A straight line in joint space along which the tip advances, its orientation held.
+    """A straight line in joint space along which the tip advances at constant orientation.
 
     Attributes:
         normal: Unit direction of the advance (3,) in the base frame.
@@ -81,7 +81,7 @@ class JointLine:
         return self.start + advance * self.slope
 
     def limits(self, limits: JointLimits, share: float, most: float) -> MotionLimits:
-        """Return the limits of the advance under which nothing exceeds a share of its own.
+        """Return the limits of the advance at which no joint exceeds a share of its limits.
 
         Args:
             limits: Limits of joints and tip.
@@ -112,9 +112,9 @@ def joint_line(
         most: Largest advance [m].
 
     Raises:
-        ArmError: Not a direction, or not joint positions of the arm.
+        ArmError: `normal` is not a direction, or `q` are not joint positions of the arm.
         UnreachableError: The advance leaves the ranges of the joints, or the arm cannot move along
-            the direction with its orientation held.
+            the direction at constant orientation.
     """
     start = arm.checked(q).copy()
     direction = np.asarray(normal, np.float64)
@@ -168,24 +168,24 @@ class Knot:
 class AdvancePlanner:
     """Plans the advance since the last reset as trajectories, each continuing the one before.
 
-    A new trajectory repeats the motion already sent up to `lead_s` after the call, leaves it there
-    with its velocity and acceleration, and ends at rest at its target. Whenever the controller
-    takes it up before that time, the motion continues without a step; if no further trajectory
-    comes, the arm stops at the target.
+    A new trajectory repeats the motion already sent until `lead_s` after the call. From there it
+    continues with the same velocity and acceleration, and ends at rest at the new target. If the
+    controller receives it before that time, the motion continues without a step. If no further
+    trajectory arrives, the arm stops at the target.
 
-    All times are on the clock of `now_s`, the one that the controller reads.
+    All times are on the clock of `now_s`, which the controller uses as well.
 
     Attributes:
         line: Joint line of this reset; None before the first reset.
         motion_limits: Limits of the advance along the line.
-        refused: Plans that ruckig could not make; the last trajectory stands.
+        refused: Number of plans that ruckig could not compute; the last trajectory stays valid.
 
     Args:
         arm: The arm.
         limits: Limits of its joints.
-        lead_s: Time from the call to the first point that may differ from the trajectory before
-            [s]. It must cover the worst transport to the controller and two of its cycles, one
-            until it looks and one by which it commands ahead.
+        lead_s: Time from the call to the first point that may differ from the last trajectory [s].
+            It must cover the longest transport to the controller and two cycles of the controller:
+            one until it reads the trajectory, and one by which it commands ahead.
         share: Share of the rate limits that may be used; the rest is reserve.
     """
 
@@ -211,7 +211,7 @@ class AdvancePlanner:
         """Joint positions at advance zero (n,) [rad].
 
         Raises:
-            ArmError: Not reset yet.
+            ArmError: The planner was not reset yet.
         """
         return self._ready().start
 
@@ -222,10 +222,10 @@ class AdvancePlanner:
             q: Joint positions that the controller holds (n,) [rad]: the commanded ones, not the
                 measured. `settling_trajectory` makes the two equal.
             normal: Direction of the advance (3,) in the base frame.
-            max_advance: Largest advance that will be asked for [m].
+            max_advance: Largest advance that will be requested [m].
 
         Raises:
-            ArmError: Not joint positions, not a normal, or not a largest advance.
+            ArmError: An argument is not valid.
             UnreachableError: `max_advance` leaves the ranges of the joints.
         """
         if not 0.0 <= max_advance <= MAX_ADVANCE:
@@ -239,7 +239,7 @@ class AdvancePlanner:
         self._clear()
 
     def plan(self, now_s: float, advance_m: float) -> PlannedTrajectory | None:
-        """Return the trajectory to a new target, or None where nothing new is to be sent.
+        """Return the trajectory to a new target, or None if there is nothing new to send.
 
         None means that the target is as before, that the last trajectory was sent less than
         `INTERVAL_S` ago (ask again with the next window), or that no motion was found.
@@ -249,7 +249,7 @@ class AdvancePlanner:
             advance_m: Advance to reach, since the reset [m].
 
         Raises:
-            ArmError: Not reset; a value that is not finite; time that runs backwards.
+            ArmError: The planner was not reset, a value is not finite, or time runs backwards.
             UnreachableError: An advance below zero or above `max_advance`.
         """
         line = self._ready()
@@ -275,7 +275,7 @@ class AdvancePlanner:
     def stop(self, now_s: float) -> PlannedTrajectory | None:
         """Return the trajectory that brakes as soon and as fast as the limits allow.
 
-        None where the arm rests or the last trajectory brings it to rest as soon. After the clock
+        None if the arm rests, or if the last trajectory brings it to rest as early. After the clock
         was set back, the motion is ended from where the arm is by the new time, or from the oldest
         time that is kept.
 

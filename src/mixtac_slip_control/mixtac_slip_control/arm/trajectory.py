@@ -77,8 +77,7 @@ NS_PER_S: Final = 1_000_000_000
 def serialised(trajectory: PlannedTrajectory) -> bytes:
     """Return a trajectory as a serialised `trajectory_msgs/JointTrajectory`.
 
-    This costs a fraction of what filling and converting a message does, in the step that answers a
-    slip.
+    In the step that responds to a slip, this costs a fraction of filling and converting a message.
     """
     count, joints = trajectory.q.shape
     text = struct.pack('<iII', *divmod(trajectory.stamp_ns, NS_PER_S), 1) + b'\0'
