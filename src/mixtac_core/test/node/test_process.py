@@ -163,7 +163,7 @@ def compiler(folder: Path, *, compiles: bool) -> subprocess.Popen[str]:
 def test_kernels_are_compiled_by_one_process_at_a_time(tmp_path: Path):
     with compiler(tmp_path, compiles=True) as first:
         assert [first.stdout.readline() for _ in range(3)] == ['inside\n', 'compiles\n', 'begun\n']
-        (lock,) = tmp_path.iterdir()
+        (lock,) = (tmp_path / f'mixtac-kernels-{os.getuid()}').iterdir()
         with lock.open('w') as mine:
             with pytest.raises(BlockingIOError):
                 fcntl.flock(mine, fcntl.LOCK_EX | fcntl.LOCK_NB)
