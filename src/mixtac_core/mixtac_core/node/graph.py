@@ -193,19 +193,16 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
     return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
 
 
-def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] = ()) -> NodeSpec:
+def recorder(output: Path, exclude: Sequence[Topic] = ()) -> NodeSpec:
     """Return the node that records the sensor's topics to a new bag.
 
     Args:
         output: Folder of the bag.
-        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
         exclude: Topics that are not recorded; without any, as the parameter files have it.
     """
     overrides = {'output': str(output)}
     if exclude:
         overrides['exclude'] = ' '.join(each.name for each in exclude)
-    if reference_topic:
-        overrides['reference_topic'] = reference_topic
     return node('mixtac', 'recorder', overrides=overrides)
 
 
