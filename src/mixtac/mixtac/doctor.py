@@ -32,7 +32,8 @@ from mixtac_driver.doctor import (
     Level,
     RawData,
     check_attached,
-    check_computer,
+    check_clock,
+    check_disk,
     check_running,
     first_to_do,
     ok,
@@ -152,7 +153,7 @@ def examine(
             yield 'camera', [finding]
             if backend is not None:
                 yield 'measured', list(check_running(p, seconds, raw, backend))
-    yield 'computer', check_computer(Path.cwd())
+    yield 'computer', [check_disk(Path.cwd()), check_clock()]
 
 
 def table(section: str, findings: list[Finding]) -> Table:

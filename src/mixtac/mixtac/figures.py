@@ -37,20 +37,11 @@ def make_table(
     return table
 
 
-def new_figure(width_in: float, height_in: float, title: str = '') -> Figure:
-    """Return a figure of a size in inches. It needs no display.
-
-    Args:
-        width_in: Width.
-        height_in: Height.
-        title: Title; says that the data are simulated if they are.
-    """
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return a figure of a size in inches. It needs no display."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout='constrained')
-    if title:
-        figure.suptitle(title, x=0.01, ha='left', fontsize=11)
-    return figure
+    return Figure(figsize=(width_in, height_in), layout='constrained')
 
 
 def new_axes(
@@ -58,8 +49,7 @@ def new_axes(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes with a grid, row by row; sizes in inches."""
     figure = new_figure(width, height)
-    axes = figure.subplots(rows, columns, squeeze=False)
-    flat = [ax for row in axes for ax in row]
+    flat = list(figure.subplots(rows, columns, squeeze=False).flat)
     for ax in flat:
         ax.spines[['top', 'right']].set_visible(False)
         ax.grid(visible=True, alpha=0.25, linewidth=0.6)

@@ -121,7 +121,6 @@ def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     assert names == [*TEXTS, 'words.bin']
     assert registers['6:0'] == 18
     assert sum(len(batch.frames) for batch in batches) > 0
-    assert decoder.counters.words_accounted == decoder.counters.words
 
 
 @pytest.mark.parametrize(

@@ -133,11 +133,6 @@ def check_clock() -> Finding:
     return judge('real-time clock', found, {}, (answer == 'no', Level.WARN, remedy))
 
 
-def check_computer(folder: Path) -> list[Finding]:
-    """Return all findings about the computer; recordings would be written to the folder."""
-    return [check_disk(folder), check_clock()]
-
-
 DEVICES = 'sys/bus/usb/devices'
 USB3_MBIT = 5000
 USB2_MBIT = 480

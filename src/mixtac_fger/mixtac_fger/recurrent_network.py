@@ -372,12 +372,6 @@ class RecurrentPath:
         return float(self._state.force[0])
 
     @property
-    def event_response(self) -> tuple[float, float]:
-        """Gain of the events of this sensor, and their play [N]; see `EventResponse`."""
-        gain, play = self._state.response[:2].tolist()
-        return gain, play
-
-    @property
     def deviation(self) -> float | None:
         """Standard deviation of the present estimate [N]; None of a model that has none."""
         if self._deviation is None:

@@ -282,11 +282,6 @@ class AdvanceLaw:
         self.total = self.limit = 0.0
         self.step = StepLaw(0.0)
 
-    @property
-    def pressing(self) -> bool:
-        """Whether the press after enabling is under way."""
-        return self._parameters().law != PAPER and self.step.phase is Phase.PRESS
-
     def start(self, advance: float) -> None:
         """Start over at advance zero.
 

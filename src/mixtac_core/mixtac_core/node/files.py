@@ -139,24 +139,18 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def locked(folder: Path, *, wait: bool = True) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder, which ends with the process, however that ends.
 
-    Args:
-        folder: It must exist.
-        wait: Wait for other processes, and go on without a lock where the file system has none;
-            otherwise both are errors.
+    Waits for other processes, and goes on without a lock where the file system has none.
 
     Raises:
-        OSError: See above, or the folder cannot be opened.
+        OSError: The folder cannot be opened.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
-        if wait:
-            with contextlib.suppress(OSError):
-                fcntl.flock(handle, fcntl.LOCK_EX)
-        else:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
         yield
     finally:
         os.close(handle)

@@ -108,11 +108,6 @@ def is_virtual(device: str) -> bool:
     return device.partition(':')[0] == 'virtual'
 
 
-def is_camera(device: str) -> bool:
-    """Return whether a device is a real camera: neither the virtual sensor nor a recording."""
-    return not is_virtual(device) and not Path(device).exists() and '/' not in device
-
-
 def sensor_graph(
     device: str,
     *,
@@ -173,7 +168,7 @@ def sensor_graph(
     if slip is not None:
         nodes.append(slip_control({**follow, **slip}))
     # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
-    recorded = simulated_time or not is_camera(device)
+    recorded = simulated_time or is_virtual(device) or Path(device).exists() or '/' in device
     own = {**({'assume_free': True} if recorded else {}), **follow, **(estimator or {})}
     nodes.append(node('mixtac_fger', 'fger', lifecycle=True, required=True, overrides=own))
     return nodes
@@ -193,19 +188,16 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
     return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
 
 
-def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] = ()) -> NodeSpec:
+def recorder(output: Path, exclude: Sequence[Topic] = ()) -> NodeSpec:
     """Return the node that records the sensor's topics to a new bag.
 
     Args:
         output: Folder of the bag.
-        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
         exclude: Topics that are not recorded; without any, as the parameter files have it.
     """
     overrides = {'output': str(output)}
     if exclude:
         overrides['exclude'] = ' '.join(each.name for each in exclude)
-    if reference_topic:
-        overrides['reference_topic'] = reference_topic
     return node('mixtac', 'recorder', overrides=overrides)
 
 

@@ -40,19 +40,10 @@ class StreamWriter:
         bag: Where to write; the caller closes it.
         size: Width and height of the event array.
         color_filter: Colour filter of the camera, 0 for none.
-        namespace: Namespace of the topics.
     """
 
-    def __init__(
-        self,
-        bag: Bag,
-        size: tuple[int, int],
-        *,
-        color_filter: int = 0,
-        namespace: str = topics.DEFAULT_NAMESPACE,
-    ) -> None:
+    def __init__(self, bag: Bag, size: tuple[int, int], *, color_filter: int = 0) -> None:
         self._bag, self._size, self._color_filter = bag, size, color_filter
-        self._namespace = namespace
         self._packetizer = Packetizer()
         self._sequence = self._edges = 0
         self._handles: dict[str, Any] = {}
@@ -64,9 +55,7 @@ class StreamWriter:
         """
         for topic in wanted:
             self._handles[topic.name] = self._bag.add_topic(
-                topic.resolved(self._namespace),
-                topic.type_name,
-                latched=topic.latched,
+                topic.resolved(topics.DEFAULT_NAMESPACE), topic.type_name, latched=topic.latched
             )
 
     def put(self, topic: Topic, received_ns: int, message: Any) -> None:  # noqa: ANN401

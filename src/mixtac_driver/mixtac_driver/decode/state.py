@@ -38,8 +38,9 @@ READINGS_CAPACITY = 256
 class DecoderCounters:
     """Counts of decoded, dropped and unknown data since the decoder was created.
 
-    Every word counts in `words` and in exactly one of the counters that `words_accounted` adds up.
-    The other counters describe the result for these words.
+    Every word counts in `words` and in exactly one of the counters of events, rows, timestamps,
+    wraps, resets, specials, samples and miscellaneous words. The other counters describe
+    the result for these words.
 
     Attributes:
         words: Words decoded.
@@ -98,15 +99,6 @@ class DecoderCounters:
     imu_unexpected: int = 0
     bytes_dropped: int = 0
     bytes_lost: int = 0
-
-    @property
-    def words_accounted(self) -> int:
-        """Sum of the counters of words by kind; equals `words` unless the decoder is wrong."""
-        events = self.events + self.events_outside + self.events_without_row
-        rows = self.rows + self.rows_outside
-        times = self.timestamps + self.timestamps_backwards + self.wraps + self.resets
-        specials = self.specials + self.specials_unknown
-        return events + rows + times + specials + self.samples + self.misc + self.misc_unknown
 
 
 COUNTERS = np.dtype([(each.name, np.int64) for each in fields(DecoderCounters)], align=True)

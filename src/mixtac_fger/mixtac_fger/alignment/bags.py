@@ -189,8 +189,8 @@ def read_fit(bag: Path) -> ClockFit:
         raise AlignmentError(f'{path}: {error.message}', remedy=remedy) from error
 
 
-def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:
-    """Copy a bag with the reference force stamped on the camera clock; return its samples.
+def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> None:
+    """Copy a bag with the reference force stamped on the camera clock.
 
     The first message of `clock_fit` is the map of the copy, from the camera clock to itself, with
     the uncertainty of the fit: a reader maps the stamps by it as those of any bag.
@@ -207,7 +207,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         FileError: It cannot be written.
     """
     check_new(out)
-    types, changed = typestore(), 0
+    types = typestore()
     fit_topic = topics.CLOCK_FIT.resolved(namespace)
     with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
         writer.custom_data.update(custom_data(bag))
@@ -230,9 +230,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
                 stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
                 data = types.serialize_cdr(message, copied[topic].msgtype)
-                changed += 1
             writer.write(handles[topic], received_ns, data)
-    return changed
 
 
 def _of_one_clock(fit: ClockFit) -> ClockFit:

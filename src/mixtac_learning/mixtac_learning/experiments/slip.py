@@ -196,7 +196,7 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
         'detection_ms': 1e-3 * float(after[0] - onset_us) if len(after) else None,
         'slip_mm': arrest.slip_mm,
-        'arrest_ms': _or_none(arrest.arrest_ms),
+        'arrest_ms': arrest.arrest_ms if np.isfinite(arrest.arrest_ms) else None,
         'held': arrest.held,
         'open_slip_mm': free.slip_mm,
         'open_held': free.held,
@@ -208,10 +208,6 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'stopped': record.stopped,
     }
     return result, record
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _alarms_before(record: LoopRecord, onset_us: float) -> int:

@@ -140,7 +140,7 @@ def is_finished(folder: Path, name: str) -> bool:
     return (folder / name / 'metadata.yaml').is_file()
 
 
-def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int:
+def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> None:
     """Write the bag of a trial, unless it is there already.
 
     The bag is written to a temporary folder and moved when it is complete.
@@ -150,16 +150,13 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         folder: Folder of the data set.
         compress: Compress the chunks of the bag (zstd).
 
-    Returns:
-        Number of messages written; 0 if the bag existed.
-
     Raises:
         SimulationError: The trial cannot be simulated.
         RecordingError: The bag cannot be written.
     """
     if is_finished(folder, spec.name):
-        return 0
-    partial, count = folder / UNFINISHED / spec.name, 0
+        return
+    partial = folder / UNFINISHED / spec.name
     trial = TrialStream(spec)
     try:
         shutil.rmtree(partial, ignore_errors=True)
@@ -170,14 +167,11 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         with writer:
             connections = {
                 each.name: writer.add_topic(
-                    each.resolved(NAMESPACE),
-                    each.type_name,
-                    latched=each.latched,
+                    each.resolved(NAMESPACE), each.type_name, latched=each.latched
                 )
                 for each in BAG_TOPICS
             }
             for message in trial_messages(trial):
-                count += 1
                 writer.write(connections[message.topic], message.received_ns, message.data)
         partial.rename(folder / spec.name)
     except OSError as error:
@@ -185,7 +179,6 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
             f'cannot write bag {folder / spec.name}: {error}',
             remedy='free some space, or choose another folder',
         ) from error
-    return count
 
 
 def generate(

@@ -22,7 +22,6 @@ import numpy as np
 from mixtac_core.recordings import dataset
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import stream
-from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import preset as named_preset
 from mixtac_sim.world.profiles import PROFILES
 from mixtac_sim.world.trial import Trial, simulate_trial
@@ -158,14 +157,13 @@ def evaluation_plan(
     devices: list[int],
     seconds: float,
     seed: int,
-    profiles: tuple[str, ...] = EVALUATION_PROFILES,
     preset: str = TRAINING_PRESET,
 ) -> list[TrialSpec]:
     """Return one trial per profile and sensor with trial seeds that training never uses."""
     return [
         _spec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds, preset)
         for row, device in enumerate(devices)
-        for column, profile in enumerate(profiles)
+        for column, profile in enumerate(EVALUATION_PROFILES)
     ]
 
 
@@ -195,27 +193,6 @@ def simulate(spec: TrialSpec) -> Trial:
         preset=named_preset(spec.preset),
         session=spec.session,
     )
-
-
-def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
-    """Return the stiffness of the gel in a trial over the stiffness known before it.
-
-    Args:
-        spec: The trial.
-        known_sensor: The usual stiffness of the sensor is known, but not that of the day.
-
-    Returns:
-        Modulus of sensor and day over the usual modulus of all sensors, or of this one.
-    """
-    chosen = named_preset(spec.preset)
-    day = draw_conditions(
-        spec.trial_seed if spec.session is None else spec.session, chosen
-    ).stiffness
-    if known_sensor:
-        return day
-    alike = replace(chosen, gel=replace(chosen.gel, modulus_log_sd=0.0))
-    usual, own = (draw_device(spec.device_seed, each) for each in (alike, chosen))
-    return day * own.layer.modulus_kpa / usual.layer.modulus_kpa
 
 
 _MAKES_TRIALS = ('mechanics', 'optics', 'pixels', 'world', 'bags')

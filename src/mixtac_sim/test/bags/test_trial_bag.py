@@ -32,7 +32,7 @@ TRUTH = '/mixtac/truth/'
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp('bags')
-    assert write_trial(SPEC, folder) > 10_000
+    write_trial(SPEC, folder)
     return folder
 
 

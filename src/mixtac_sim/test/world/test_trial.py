@@ -7,7 +7,6 @@ from __future__ import annotations
 import numpy as np
 
 from mixtac_core.recordings.dataset import TrialSpec
-from mixtac_sim.world import plans
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.plans import session_plan
 from mixtac_sim.world.trial import TrialStream, simulate_trial
@@ -56,4 +55,3 @@ def test_a_session_is_split_by_trial_and_at_random():
     assert session_plan(counts, 3) == (trained, tested)
     others = {spec.trial_seed for seed in range(20) for spec in session_plan(counts, seed)[1]}
     assert len({seed % 1000 for seed in others}) > len(tested)
-    assert len({plans.stiffness(spec) for spec in every}) == 1

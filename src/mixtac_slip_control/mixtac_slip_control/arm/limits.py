@@ -107,21 +107,20 @@ class JointLimits:
         low = np.sqrt(np.maximum(0.0, slope * (q - lower))) - offset
         return -np.clip(low, 0.0, self.velocity), np.clip(high, 0.0, self.velocity)
 
-    def violation(self, q: Floats, names: tuple[str, ...], margin: float = 0.0) -> str | None:
-        """Return which joint is outside its range, in words, or None.
+    def violation(self, q: Floats, names: tuple[str, ...]) -> str | None:
+        """Return which joint is less than `JOINT_MARGIN` inside its range, in words, or None.
 
         Args:
             q: Joint positions (n,) [rad].
             names: Names of the joints.
-            margin: Distance from the ends to keep [rad].
         """
-        outside = ~((q >= self.lower + margin) & (q <= self.upper - margin))
+        outside = ~((q >= self.lower + JOINT_MARGIN) & (q <= self.upper - JOINT_MARGIN))
         if not outside.any():
             return None
         i = int(np.argmax(outside))
         return (
             f'{names[i]} at {q[i]:.4f} rad is outside {self.lower[i]:.4f} to {self.upper[i]:.4f} '
-            f'rad less {margin:g}'
+            f'rad less {JOINT_MARGIN:g}'
         )
 
 
@@ -166,7 +165,7 @@ class StateChecks:
             return str(error)
         if self._good is not None and np.abs(values - self._good).max() < SAME_PLACE_RAD:
             return None
-        reason = self._limits.violation(values, self._arm.names, JOINT_MARGIN)
+        reason = self._limits.violation(values, self._arm.names)
         if reason is None and self._workspace is not None:
             place = self._arm.pose(values)[:3, 3]
             if not ((place >= self._workspace[:, 0]) & (place <= self._workspace[:, 1])).all():

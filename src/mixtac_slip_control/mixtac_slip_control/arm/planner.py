@@ -21,7 +21,7 @@ from ruckig import Trajectory as Motion
 
 from mixtac_core.events.arrays import Floats
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import JOINT_MARGIN, JointLimits
+from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import ArmError, UnreachableError
 from mixtac_slip_control.parameters import CONTROLLER_PERIOD_S
@@ -130,7 +130,7 @@ def joint_line(
             'the arm cannot advance along the contact normal from here: choose another posture'
         )
     line = JointLine(direction, start, slope)
-    problem = limits.violation(line.at(most), arm.names, JOINT_MARGIN)
+    problem = limits.violation(line.at(most), arm.names)
     if problem is not None:
         raise UnreachableError(
             f'an advance of {most * 1e3:.2f} mm needs {problem}: choose another posture or a '
