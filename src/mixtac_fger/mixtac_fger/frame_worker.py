@@ -93,9 +93,6 @@ class FrameWorker:
             except (ImageError, ImageConversionError) as error:
                 self.refused += 1
                 self.problem = str(error)
-            except Exception as error:  # noqa: BLE001 - one frame must not end the thread
-                self.refused += 1
-                self.problem = f'a frame cannot be used ({error!r})'
             else:
                 self._add(encoded)
             self._inbox.task_done()

@@ -17,7 +17,15 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from mixtac_driver.davis346.biases import DEFAULT_BIASES, Bias
-from mixtac_driver.davis346.registers import Aps, Chip, Dvs, Imu, Module, SystemInfo
+from mixtac_driver.davis346.registers import (
+    Aps,
+    Chip,
+    Dvs,
+    ExternalInput,
+    Imu,
+    Module,
+    SystemInfo,
+)
 from mixtac_driver.errors import UnsupportedCameraError
 from mixtac_driver.usb.protocol import Protocol
 
@@ -92,6 +100,14 @@ DAVIS346 = CameraModel(
         }
     ),
 )
+
+
+OPTIONAL_BLOCKS = {
+    (Module.DVS, Dvs.HAS_BACKGROUND_ACTIVITY_FILTER): 4,
+    (Module.DVS, Dvs.HAS_SKIP): 2,
+    (Module.EXTERNAL_INPUT, ExternalInput.HAS_GENERATOR): 6,
+}
+"""Registers of the blocks that some logic lacks; they follow the one that reports the block."""
 
 
 @cache
@@ -174,6 +190,7 @@ class Identity:
         imu_type: 0 none, 1 MPU6050, 2 MPU9250.
         imu_flips: True per axis (x, y, z) whose direction on the unit is reversed.
         color_filter: 0 monochrome, 1 .. 8 a colour filter.
+        absent: Registers that the logic lacks, which are not written: (module, number).
     """
 
     model: CameraModel
@@ -187,6 +204,7 @@ class Identity:
     imu_type: int = 0
     imu_flips: tuple[bool, bool, bool] = (False, False, False)
     color_filter: int = 0
+    absent: frozenset[tuple[int, int]] = frozenset()
 
 
 def check_firmware(bcd_device: int, minimum: int = DAVIS346.minimum_firmware) -> tuple[int, int]:
@@ -248,6 +266,12 @@ def read_identity(
     imu_type = protocol.read(Module.IMU, Imu.TYPE)
     clocks = _read_clocks(protocol)
     imu_orientation = protocol.read(Module.IMU, Imu.ORIENTATION)
+    absent = frozenset(
+        (module, number + k)
+        for (module, number), count in OPTIONAL_BLOCKS.items()
+        if not protocol.read(module, number)
+        for k in range(1, count + 1)
+    )
     return Identity(
         model=model,
         serial=serial,
@@ -260,6 +284,7 @@ def read_identity(
         imu_type=imu_type,
         imu_flips=(bool(imu_orientation & 4), bool(imu_orientation & 2), bool(imu_orientation & 1)),
         color_filter=color_filter,
+        absent=absent,
     )
 
 

@@ -115,7 +115,8 @@ def register_writes(
         (Module.EXTERNAL_INPUT, _external_input_values(p, clocks.logic)),
         (Module.USB, ((Usb.EARLY_PACKET_DELAY, cycles(p.usb_early_packet_delay, clocks.usb)),)),
     ]
-    return [Write(module, number, int(n)) for module, values in groups for number, n in values]
+    found = [Write(module, number, int(n)) for module, values in groups for number, n in values]
+    return [each for each in found if (each.module, each.parameter) not in identity.absent]
 
 
 def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:

@@ -69,6 +69,14 @@ def test_default_writes_are_the_102_of_libcaer_in_its_order(identity):
     assert len(writes) == 102
 
 
+def test_registers_that_the_logic_lacks_are_not_written(identity):
+    lacking = FakeCamera(registers={(1, 30): 0, (1, 50): 0, (4, 10): 0})
+    with Davis346(backend=FakeBackend(lacking)) as camera:
+        writes = register_writes(LIBCAER, camera.identity)
+    gone = {w[:2] for w in register_writes(LIBCAER, identity)} - {w[:2] for w in writes}
+    assert gone == {*((1, n) for n in (31, 32, 33, 34, 51, 52)), *((4, n) for n in range(11, 17))}
+
+
 @pytest.mark.parametrize(
     ('change', 'kind', 'value'),
     [
