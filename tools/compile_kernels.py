@@ -30,7 +30,8 @@ def main() -> None:
     with compiling('the packet codec'):
         codec.warm_up()
     parts = [sense]
-    if importlib.util.find_spec('mixtac_sim') is not None:
+    # A robot's environment lacks what the simulator needs.
+    if all(importlib.util.find_spec(name) for name in ('mixtac_sim', 'joblib')):
         parts.append(simulate)
     spawning = multiprocessing.get_context('spawn')
     processes = [spawning.Process(target=part) for part in parts]
