@@ -20,7 +20,7 @@ EVEN = {each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topic
 GAP = 1.5
 """A message is missing if two stamps are this many usual intervals apart."""
 LEARNING = 16
-"""Number of latest intervals whose shortest is the usual one."""
+"""Number of latest intervals whose median is the usual one."""
 
 
 @dataclass
