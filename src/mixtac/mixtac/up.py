@@ -295,8 +295,7 @@ def slip(
             run_until(processes, seconds)
         finally:
             for name in SLIP_STOP_ORDER:
-                if processes.has(name):
-                    processes.stop(name)
+                processes.stop(name)
 
 
 def view(

@@ -13,6 +13,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import rclpy
@@ -39,12 +40,12 @@ from mixtac_core.node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_
 
 T = TypeVar('T')
 ENDING = (signal.SIGINT, signal.SIGTERM)
-PATIENCE_S = 0.5
+PATIENCE_S = 1.0
 """Time that a running callback has after a signal; then it is interrupted [s]."""
 CHECK_PERIOD_S = 0.2
 """Period at which a node is checked and signals are handled [s]."""
-CHECKS_PER_REARM = 15
-"""Checks between two restarts of the watchdog: a restart waits for a thread to end."""
+REARM_PERIOD_S = 3.0
+"""Period at which the watchdog is restarted, which waits for a thread to end [s]."""
 
 
 def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
@@ -97,6 +98,12 @@ class BaseNode:
         **options: Any,  # noqa: ANN401
     ) -> None:
         super().__init__(name, namespace=namespace, **options)  # type: ignore[call-arg]
+
+    def check(self) -> None:
+        """Check the node: called several times a second; a MixtacError ends the process."""
+
+    def close(self) -> None:
+        """End threads and devices, before the node is destroyed."""
 
     def publish_topic(self, topic: Topic, *, name: str = '', managed: bool = False) -> Any:  # noqa: ANN401
         """Create the publisher of a topic, with the topic's type and QoS.
@@ -166,26 +173,25 @@ def declare(
     Raises:
         ParameterError: A start value is not allowed.
     """
-    declared = specs(schema)
-    for spec in declared:
-        # Read-only is enforced below, so that the refusal can name the remedy.
-        try:
-            node.declare_parameter(spec.name, spec.default, _descriptor(spec))
-        except InvalidParameterValueException as error:
-            raise ParameterError(' '.join(str(error).split())) from error
-    names = {spec.name: spec for spec in declared}
-    frames = {name for name in names if name.endswith('frame_id')}
+    known = {spec.name: spec for spec in specs(schema)}
+    # Read-only is enforced below, so that the refusal can name the remedy.
+    declared = [(spec.name, spec.default, _descriptor(spec)) for spec in known.values()]
+    try:
+        given = node.declare_parameters('', declared)
+    except InvalidParameterValueException as error:
+        raise ParameterError(' '.join(str(error).split())) from error
 
     def built(values: dict[str, Any]) -> T:
-        own = {name: frame_id(values[name], node.get_namespace()) for name in frames}
+        frames = {name: value for name, value in values.items() if name.endswith('frame_id')}
+        own = {name: frame_id(value, node.get_namespace()) for name, value in frames.items()}
         return build(schema, {**values, **own})
 
-    current = built({name: node.get_parameter(name).value for name in names})
+    current = built({parameter.name: parameter.value for parameter in given})
 
     def apply(parameters: list[Any]) -> SetParametersResult:
         nonlocal current
-        changes = {p.name: p.value for p in parameters if p.name in names}
-        fixed = [n for n in changes if names[n].read_only or on_change is None]
+        changes = {p.name: p.value for p in parameters if p.name in known}
+        fixed = [name for name in changes if known[name].read_only or on_change is None]
         if fixed:
             reason = f'parameter {fixed[0]} is fixed while the node runs; restart with a new value'
             return SetParametersResult(successful=False, reason=reason)
@@ -240,15 +246,17 @@ def starting() -> Iterator[None]:
 class Signals:
     """Handles SIGINT and SIGTERM from now on.
 
-    A callback, or the construction of a node, that still runs `PATIENCE_S` after a signal ends with
-    KeyboardInterrupt. Libraries may turn that into an exception of their own.
+    The executor stops after the callback that runs. A callback, or the construction of a node, that
+    still runs `PATIENCE_S` after a signal ends with KeyboardInterrupt. Libraries may turn that into
+    an exception of their own.
 
     Attributes:
-        received: Whether a signal has arrived.
+        ended: Done after a signal.
     """
 
     def __init__(self) -> None:
-        self.received = False
+        self.ended = Future()
+        self._stderr = os.dup(2)
         signal.signal(signal.SIGALRM, self._interrupt)
         for number in ENDING:
             signal.signal(number, self._receive)
@@ -256,11 +264,13 @@ class Signals:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
     def _receive(self, _signum: int, _frame: object) -> None:
-        if not self.received:
-            self.received = True
+        if not self.ended.done():
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
+            self.ended.set_result(None)
 
     def _interrupt(self, _signum: int, _frame: object) -> None:
+        # rclpy logs what leaves a callback as FATAL, with a traceback.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         raise KeyboardInterrupt
 
     def ignore(self) -> None:
@@ -268,16 +278,16 @@ class Signals:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
+        os.dup2(self._stderr, 2)
 
 
-def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
+def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM, then close it.
 
-    A node may have a `close()` method: it ends threads and devices before the node is destroyed.
-    It may have a `check()` method: called several times a second, and a MixtacError from it ends
-    the process as one from its construction does. A callback that does not return ends the process
-    after `STUCK_S` with a traceback of all threads: launch files and systemd report that, and can
-    restart the node.
+    Nothing is called back any more when the node is closed, and the node is destroyed before ROS is
+    shut down. A MixtacError ends the process, other failures of callbacks are logged. A callback
+    that does not return ends the process after `STUCK_S` with a traceback of all threads: launch
+    files and systemd report that, and can restart the node.
 
     Args:
         node_class: Makes the node; called after `rclpy.init`.
@@ -289,30 +299,24 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     signals = Signals()
     node: Any = None
     try:
-        if signals.received:
-            return 0
         with starting():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = node_class()
-        executor = EventsExecutor()
-        executor.add_node(node)
         freeze_loaded()
-        _spin(node, executor, signals)
+        _spin(node, signals.ended)
     except MixtacError as error:
         print(error_line(str(error)), file=sys.stderr)
         return 1
     except (ExternalShutdownException, KeyboardInterrupt):
-        return 0
+        pass
     except Exception:
-        if not signals.received:
+        if not signals.ended.done():
             raise
-        return 0
     finally:
         faulthandler.cancel_dump_traceback_later()
         signals.ignore()
         if node is not None:
-            if hasattr(node, 'close'):
-                node.close()
+            node.close()
             node.destroy_node()
         rclpy.try_shutdown()
         # What was frozen is not collected: extension modules would report it as leaked.
@@ -320,7 +324,7 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     return 0
 
 
-def _spin(node: Any, executor: EventsExecutor, signals: Signals) -> None:  # noqa: ANN401
+def _spin(node: Any, ended: Future) -> None:  # noqa: ANN401
     """Run callbacks until a signal arrives or a check of the node fails.
 
     The check is a callback of the executor. On a busy host it comes late, but it comes: the
@@ -329,43 +333,30 @@ def _spin(node: Any, executor: EventsExecutor, signals: Signals) -> None:  # noq
     Raises:
         MixtacError: From `check`.
     """
-    ended = Future()
-    checks = 0
 
     def check() -> None:
-        nonlocal checks
-        checks += 1
-        if checks % CHECKS_PER_REARM == 0:
-            faulthandler.dump_traceback_later(STUCK_S, exit=True)
         try:
-            if hasattr(node, 'check'):
-                node.check()
+            node.check()
         except MixtacError as error:
             ended.set_exception(error)
-        else:
-            if signals.received:
-                ended.set_result(None)
 
     # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
-    faulthandler.dump_traceback_later(STUCK_S, exit=True)
-    node.create_timer(CHECK_PERIOD_S, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    rearm = partial(faulthandler.dump_traceback_later, STUCK_S, exit=True)
+    rearm()
+    steady = Clock(clock_type=ClockType.STEADY_TIME)
+    node.create_timer(CHECK_PERIOD_S, check, clock=steady)
+    node.create_timer(REARM_PERIOD_S, rearm, clock=steady)
+    executor = EventsExecutor()
+    executor.add_node(node)
     while rclpy.ok() and not ended.done():
-        _run_callbacks(node, executor, ended, signals)
-    if ended.done():
-        ended.result()
-
-
-def _run_callbacks(node: Any, executor: EventsExecutor, ended: Future, signals: Signals) -> None:  # noqa: ANN401
-    """Run callbacks for a while; one that fails is logged, so that no message ends a node.
-
-    rclpy itself raises for parameters of unknown types and for times before the epoch on `/clock`.
-    """
-    try:
-        # In the wheels of Jazzy, spin() of this executor never calls back.
-        executor.spin_until_future_complete(ended, timeout_sec=CHECK_PERIOD_S)
-    except (MixtacError, ExternalShutdownException):
-        raise
-    except Exception:
-        if signals.received:
+        try:
+            # In the wheels of Jazzy, spin() of this executor never calls back.
+            executor.spin_until_future_complete(ended, timeout_sec=CHECK_PERIOD_S)
+        except (MixtacError, ExternalShutdownException):
             raise
-        node.get_logger().error(f'a callback failed: {traceback.format_exc()}')
+        except Exception:
+            if ended.done():
+                raise
+            # rclpy itself raises for parameters of unknown types and for times before the epoch.
+            node.get_logger().error(f'a callback failed: {traceback.format_exc()}')
+    ended.result()

@@ -21,11 +21,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from mixtac_core.events.errors import ERROR, MixtacError
 from mixtac_core.node.share import share
@@ -64,10 +64,6 @@ def exact_sleeps() -> None:
         ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)
 
 
-COMPILING_S = 300.0
-"""Time after which a process compiles although another one of the user still does [s]."""
-
-
 @contextlib.contextmanager
 def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[None]:
     """Load compiled kernels, or compile them while no other process of the user compiles the same.
@@ -91,7 +87,7 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
                 # It may take longer than `STUCK_S`.
                 faulthandler.cancel_dump_traceback_later()
                 say()
-                _await_lock(lock, time.monotonic() + COMPILING_S)
+                fcntl.flock(lock, fcntl.LOCK_EX)
 
         def on_end(self, _event: object) -> None:
             pass
@@ -103,17 +99,6 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
     path = folder / kernels.replace('/', '.')
     with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
         yield
-
-
-def _await_lock(lock: IO[str], until_s: float) -> None:
-    # Without a lock in the end: one process that hangs must not keep all others from starting.
-    while time.monotonic() < until_s:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(0.05)
-        else:
-            break
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -149,37 +134,6 @@ def fatal_text(line: str) -> str:
     return line.removeprefix(ERROR).strip() if line.startswith(ERROR) else ''
 
 
-@dataclass
-class _Member:
-    """A running process and the thread that forwards its output.
-
-    Attributes:
-        process: The process.
-        reader: Thread that reads its output until it ends.
-        last_error: The last line that it logged as an error.
-    """
-
-    process: subprocess.Popen[str]
-    reader: threading.Thread = field(init=False)
-    last_error: str = ''
-
-    def read(self, name: str, sink: IO[str]) -> None:
-        """Forward the output and remember the last error.
-
-        The error line with which a process ends is not forwarded: the group reports it.
-        """
-        assert self.process.stdout is not None  # noqa: S101  (always piped)
-        for line in self.process.stdout:
-            fatal, logged = fatal_text(line), _LOGGED.match(line)
-            if fatal or logged:
-                self.last_error = fatal or logged['text'].strip()  # type: ignore[index]
-            if not fatal or sink is not sys.stderr:
-                sink.write(line if sink is not sys.stderr else f'[{name}] {line}')
-                sink.flush()
-        if sink is not sys.stderr:
-            sink.close()
-
-
 class ProcessGroup:
     """The processes of a graph; all end with this process.
 
@@ -195,7 +149,9 @@ class ProcessGroup:
     def __init__(self, log_dir: Path | None = None, env: dict[str, str] | None = None) -> None:
         self._log_dir = log_dir
         self._env = env
-        self._members: dict[str, _Member] = {}
+        self._processes: dict[str, subprocess.Popen[str]] = {}
+        self._readers: dict[str, threading.Thread] = {}
+        self._errors: dict[str, str] = {}
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> ProcessGroup:
@@ -220,21 +176,34 @@ class ProcessGroup:
         if self._log_dir is not None:
             self._log_dir.mkdir(parents=True, exist_ok=True)
             sink = (self._log_dir / f'{name}.log').open('w')
-        member = _Member(
-            subprocess.Popen(
-                ending_with_parent(command),
-                env=self._env,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors='replace',
-                start_new_session=True,
-            )
+        self._processes[name] = process = subprocess.Popen(
+            ending_with_parent(command),
+            env=self._env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors='replace',
+            start_new_session=True,
         )
-        member.reader = threading.Thread(target=member.read, args=(name, sink), daemon=True)
-        member.reader.start()
-        self._members[name] = member
+        forward = partial(self._forward, name, cast('IO[str]', process.stdout), sink)
+        self._readers[name] = threading.Thread(target=forward, daemon=True)
+        self._readers[name].start()
+
+    def _forward(self, name: str, lines: Iterable[str], sink: IO[str]) -> None:
+        """Forward the output of a process and remember its last error.
+
+        On stderr the error line with which it ends is left out: `check` reports it.
+        """
+        shared = sink is sys.stderr
+        for line in lines:
+            fatal, logged = fatal_text(line), _LOGGED.match(line)
+            if fatal or logged:
+                self._errors[name] = fatal or logged['text'].strip()  # type: ignore[index]
+            if not (fatal and shared):
+                print(f'[{name}] {line}' if shared else line, end='', file=sink, flush=True)
+        if not shared:
+            sink.close()
 
     def check(self) -> None:
         """Raise if a process has ended.
@@ -242,46 +211,47 @@ class ProcessGroup:
         Raises:
             GraphError: Names the process and its last error.
         """
-        for name, member in self._members.items():
-            code = member.process.poll()
+        for name, process in self._processes.items():
+            code = process.poll()
             if code is not None:
-                member.reader.join(1.0)
+                self._readers[name].join(1.0)
+                how = f'ended with status {code}'
                 if code < 0:
-                    # What it logged before has nothing to do with it.
-                    raise GraphError(f'{name} was ended by {signal.Signals(-code).name}')
-                reason = f': {member.last_error}' if member.last_error else ''
-                raise GraphError(f'{name} ended with status {code}{reason}')
-
-    def has(self, name: str) -> bool:
-        """Return whether a process was started under a name and not stopped."""
-        return name in self._members
+                    how = f'was ended by {signal.Signals(-code).name}'
+                raise GraphError(': '.join(filter(None, (f'{name} {how}', self.last_error(name)))))
 
     def pid(self, name: str) -> int:
         """Return the id of a process."""
-        return self._members[name].process.pid
+        return self._processes[name].pid
 
     def last_error(self, name: str) -> str:
         """Return the last line that a process logged as an error, or an empty string."""
-        return self._members[name].last_error
+        return self._errors.get(name, '')
 
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.
 
         Not SIGINT, to which a Python process that is still importing responds with a traceback.
 
+        Args:
+            name: Name of the process; one that does not run is ignored. None: all.
+
         Returns:
             Exit status by name.
         """
-        names = [name] if name is not None else list(reversed(self._members))
-        for each in names:
-            if self._members[each].process.poll() is None:
-                self._members[each].process.terminate()
+        chosen = [each for each in reversed(self._processes) if name in (None, each)]
+        for each in chosen:
+            self._processes[each].terminate()
         deadline = time.monotonic() + STOP_GRACE_S
         codes = {}
-        for each in names:
-            member = self._members.pop(each)
-            codes[each] = _wait(member.process, deadline - time.monotonic())
-            member.reader.join(1.0)
+        for each in chosen:
+            process = self._processes.pop(each)
+            try:
+                process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+            codes[each] = process.wait()
+            self._readers[each].join(1.0)
         return codes
 
 
@@ -294,12 +264,3 @@ def ending_with_parent(command: list[str]) -> list[str]:
     setpriv = shutil.which('setpriv')
     main = threading.current_thread() is threading.main_thread()
     return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command
-
-
-def _wait(process: subprocess.Popen[str], grace_s: float) -> int:
-    """Return the status of a process that was asked to end; kill it after a grace time [s]."""
-    try:
-        return process.wait(max(0.1, grace_s))
-    except subprocess.TimeoutExpired:
-        process.kill()
-        return process.wait()
