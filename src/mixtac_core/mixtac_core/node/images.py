@@ -9,6 +9,7 @@ those of rclpy or of rosbags.
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from array import array
 from typing import Any
@@ -23,11 +24,11 @@ Pixels = NDArray[np.uint8 | np.uint16]
 
 MOST_PIXELS = 1 << 22
 """Larger images are refused: the work on a message is bounded."""
-_MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
-_CHANNELS = {'mono': 1, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4} | dict.fromkeys(_MOSAICS, 1)
-_ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'}
-"""Encodings without colour names, and how OpenCV interprets them."""
-ENCODINGS = (*(f'{kind}{bits}' for kind in _CHANNELS for bits in (8, 16)), *_ALIASES)
+_MOSAICS = ('bayer_rggb', 'bayer_grbg', 'bayer_gbrg', 'bayer_bggr')
+_LAYOUTS = {'8UC1': ('mono', 8), '16UC1': ('mono', 16), 'rgb8': ('rgb', 8), 'bgr8': ('bgr', 8)}
+_LAYOUTS |= {f'{kind}{bits}': (kind, bits) for kind in ('mono', *_MOSAICS) for bits in (8, 16)}
+"""Colours and bits per channel of the encodings."""
+ENCODINGS = tuple(_LAYOUTS)
 """Encodings that can be read."""
 
 
@@ -48,18 +49,17 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     Raises:
         ImageConversionError: Unknown encoding, or sizes that contradict each other.
     """
-    dtype, channels, _ = _layout(str(message.encoding))
+    kind, bits = _layout(message)
+    dtype, channels = np.dtype(f'u{bits // 8}'), 3 if kind in ('rgb', 'bgr') else 1
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
-    if width * height > MOST_PIXELS:
-        raise ImageConversionError(
-            f'image of {width} x {height} pixels: at most {MOST_PIXELS} pixels are read'
-        )
     data = np.frombuffer(message.data, np.uint8)
-    if not row or not height or step < row or data.size < step * height:
+    sound = 0 < row <= step and 0 < step * height <= data.size
+    if not sound or width * height > MOST_PIXELS:
         raise ImageConversionError(
             f'image of {width} x {height} {message.encoding}, {step} bytes a row, holds '
-            f'{data.size} bytes: the publisher must fill {row} bytes a row'
+            f'{data.size} bytes: the publisher must fill {row} bytes a row, and at most '
+            f'{MOST_PIXELS} pixels'
         )
     data.flags.writeable = False
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
@@ -81,7 +81,8 @@ def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays 
     Raises:
         ImageConversionError: Another encoding, or a damaged message.
     """
-    return _converted(pixels(message), _layout(str(message.encoding))[2], 'mono')
+    found, (kind, _) = pixels(message), _layout(message)
+    return found if kind == 'mono' else cv2.cvtColor(found, _code(kind, 'GRAY'))
 
 
 def picture(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
@@ -96,8 +97,10 @@ def picture(message: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     Raises:
         ImageConversionError: Another encoding, or a damaged message.
     """
-    kind = _layout(str(message.encoding))[2]
-    found = _converted(pixels(message), kind, 'mono' if kind == 'mono' else 'rgb')
+    found: Any = pixels(message)
+    kind, _ = _layout(message)
+    if kind not in ('mono', 'rgb'):
+        found = cv2.cvtColor(found, _code(kind, 'RGB'))
     if found.dtype == np.uint16:
         # The nearest of 256 levels; no value lies between two.
         found = (found.astype(np.uint32) + 128) // 257
@@ -111,17 +114,7 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
         message: A `sensor_msgs/msg/Image` without data.
         image: `uint8` or `uint16`, [height, width] or [height, width, channels].
         encoding: Their encoding, one of `ENCODINGS`.
-
-    Raises:
-        ImageConversionError: Type or shape is not that of the encoding.
     """
-    dtype, channels, _ = _layout(encoding)
-    shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
-    if image.dtype != dtype or image.shape != shape or not image.size:
-        raise ImageConversionError(
-            f'{encoding} has {channels} channels of {dtype}, got an array {image.shape} of '
-            f'{image.dtype}'
-        )
     message.height, message.width = image.shape[:2]
     message.encoding = encoding
     message.is_bigendian = sys.byteorder == 'big'
@@ -152,38 +145,28 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
         message: A `sensor_msgs/CompressedImage` in JPEG or PNG.
 
     Raises:
-        ImageConversionError: Another compression or encoding, a damaged or too large image.
+        ImageConversionError: Another compression, a damaged or too large image.
     """
     data = np.frombuffer(message.data, np.uint8)
     found: Any = None
-    try:
+    with contextlib.suppress(cv2.error):
         found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise ImageConversionError(f'compressed image is damaged: {error}') from error
     if found is None or found.dtype not in (np.uint8, np.uint16):
         raise ImageConversionError(f'compressed image of {data.size} bytes is damaged')
-    named = str(message.format).partition(';')[0].rstrip('0123456789')
-    kind = named if named in _MOSAICS else 'mono'
-    if found.ndim == 3:
-        kind = 'bgr' if found.shape[2] == 3 else 'bgra'
-    return np.asarray(_converted(found, kind, 'mono'))
+    return found if found.ndim == 2 else np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2GRAY))
 
 
-def _layout(encoding: str) -> tuple[np.dtype[Any], int, str]:
-    """Return type and number of the channels of an encoding, and the name of its colours."""
-    if encoding not in ENCODINGS:
+def _layout(message: Any) -> tuple[str, int]:  # noqa: ANN401
+    """Return the colours of an image message, and the bits of a channel."""
+    encoding = str(message.encoding)
+    if encoding not in _LAYOUTS:
         raise ImageConversionError(
             f'image encoding {encoding!r}: use one of {", ".join(ENCODINGS)}'
         )
-    name = _ALIASES.get(encoding, encoding)
-    kind = name.rstrip('0123456789')
-    return np.dtype(f'u{int(name[len(kind) :]) // 8}'), _CHANNELS[kind], kind
+    return _LAYOUTS[encoding]
 
 
-def _converted(found: Any, source: str, target: str) -> Any:  # noqa: ANN401
-    """Return pixels in other colours, with as many bits. Mosaics are interpolated bilinearly."""
-    if source == target:
-        return found
-    names = {'mono': 'GRAY'} | {mosaic: f'Bayer{mosaic[-4:].upper()}' for mosaic in _MOSAICS}
-    one, other = (names.get(kind, kind.upper()) for kind in (source, target))
-    return cv2.cvtColor(found, getattr(cv2, f'COLOR_{one}2{other}'))
+def _code(kind: str, target: str) -> int:
+    """Return OpenCV's number of a conversion. It interpolates mosaics bilinearly."""
+    source = f'Bayer{kind[-4:].upper()}' if kind in _MOSAICS else kind.upper()
+    return int(getattr(cv2, f'COLOR_{source}2{target}'))
