@@ -7,9 +7,9 @@ It replaces diagnostic_updater, which has no Python interface for lifecycle node
 
 from __future__ import annotations
 
-import contextlib
-import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,29 +49,22 @@ class RateMeter:
 
 
 class RecentValues:
-    """A ring of the latest values (ages, durations) with their quantiles.
+    """The latest values (ages, durations) with their quantiles.
 
     Args:
         size: Number of values kept.
     """
 
     def __init__(self, size: int = 1024) -> None:
-        self._ring = np.zeros(size)
-        self._count = 0
+        self._kept: deque[float] = deque(maxlen=size)
 
     def add(self, value: float) -> None:
         """Append a value, dropping the oldest."""
-        self._ring[self._count % len(self._ring)] = value
-        self._count += 1
-
-    def __len__(self) -> int:
-        """Return the number of values held."""
-        return min(self._count, len(self._ring))
+        self._kept.append(value)
 
     def quantile(self, q: float) -> float:
-        """Return a quantile of the values held, NaN when there are none."""
-        held = len(self)
-        return float(np.quantile(self._ring[:held], q)) if held else float('nan')
+        """Return a quantile of the values kept, NaN when there are none."""
+        return float(np.quantile(tuple(self._kept), q)) if self._kept else float('nan')
 
 
 # Levels of `diagnostic_msgs/DiagnosticStatus`.
@@ -120,37 +113,18 @@ class DiagnosticsPublisher:
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._timer = node.create_timer(PERIOD_S, self.publish)
 
-    @contextlib.contextmanager
-    def compiling(self, kernels: str) -> Iterator[None]:
-        """Load kernels, or compile them and say so in the log and, once a second, as the status.
+    def compiling(self, kernels: str) -> AbstractContextManager[None]:
+        """Return the context `mixtac_core.node.process.compiling`; the log reports a compilation.
 
         Args:
-            kernels: Their name; see `mixtac_core.node.process.compiling`.
+            kernels: Their name.
         """
-        done = threading.Event()
-        status = Status(OK, f'compiling {kernels}: once on a machine, up to a minute')
-
-        def say() -> None:
-            self._node.get_logger().info(status.message)
-            # The executor waits for what is compiled.
-            threading.Thread(target=report, name='compiling', daemon=True).start()
-
-        def report() -> None:
-            while not done.is_set():
-                self._publish(status)
-                done.wait(PERIOD_S)
-
-        try:
-            with compiling(kernels, say):
-                yield
-        finally:
-            done.set()
+        text = f'compiling {kernels}: once on a machine, up to a minute'
+        return compiling(kernels, lambda: self._node.get_logger().info(text))
 
     def publish(self) -> None:
         """Publish the current status now."""
-        self._publish(self._source())
-
-    def _publish(self, status: Status) -> None:
+        status = self._source()
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
