@@ -28,8 +28,7 @@ from mixtac_core.node import topics
 from mixtac_core.node.files import FileError, write_json
 from mixtac_core.node.graph import recorder, sensor_graph
 from mixtac_core.node.process import GraphError, ProcessGroup
-from mixtac_core.node.stamps import stamp_to_ns
-from mixtac_core.node.topics import DEFAULT_NAMESPACE
+from mixtac_core.node.topics import DEFAULT_NAMESPACE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile
 from mixtac_fger.alignment.align import align
 from mixtac_fger.alignment.bags import read_recording

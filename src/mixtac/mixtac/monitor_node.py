@@ -33,7 +33,7 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, starting
 from mixtac_core.node.graph import NodeSpec
 from mixtac_core.node.process import GraphError, ProcessGroup
-from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_msgs.srv import Touch
 
 N = TypeVar('N', bound='CommandNode')

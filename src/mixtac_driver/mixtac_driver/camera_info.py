@@ -20,8 +20,7 @@ import yaml
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events, Floats
-from mixtac_core.node.files import FileError, load_yaml, write_text
-from mixtac_core.node.share import ShareError, share
+from mixtac_core.node.files import ShareError, share, write_text
 from mixtac_driver.errors import DriverError
 from mixtac_driver.parameters import DeviceParameters
 from mixtac_driver.pixels import event_buffers, move_events
@@ -191,9 +190,10 @@ def parse_camera_info(text: str, name: str = 'camera') -> CameraCalibration:
     # OpenCV writes a directive and tags that YAML does not know.
     text = re.sub(r'^%YAML:1\.0\s*(---)?', '', text).replace('!!opencv-matrix', '')
     try:
-        document = load_yaml(text)
-    except FileError as error:
-        raise CalibrationError(error.message, remedy='recalibrate') from error
+        document = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise CalibrationError(f'not valid YAML: {reason}', remedy='recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
     if 'cam0' in document:

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.base_node import BaseNode, run
-from mixtac_core.node.share import share
+from mixtac_core.node.files import share
 from mixtac_core.node.topics import frame_prefix
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

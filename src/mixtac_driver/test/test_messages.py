@@ -15,7 +15,7 @@ pytest.importorskip('mixtac_msgs.msg')
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_core.events.readings import Frame
-from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import Davis346
 

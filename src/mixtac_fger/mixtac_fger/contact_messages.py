@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
 from mixtac_core.node import topics
-from mixtac_core.node.stamps import us_to_stamp
+from mixtac_core.node.topics import us_to_stamp
 from mixtac_fger.displacement import field_places
 from mixtac_msgs.msg import Contact
 

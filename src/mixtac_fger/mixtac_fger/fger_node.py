@@ -23,7 +23,7 @@ from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_core.node.files import state_file
 from mixtac_core.node.process import freeze_loaded
-from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.node.topics import stamp_to_us
 from mixtac_fger.config import ModelError
 from mixtac_fger.contact_messages import ContactOutputs, stamp
 from mixtac_fger.estimator import (

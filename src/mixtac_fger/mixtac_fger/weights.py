@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.node.files import replacing, write_text
-from mixtac_core.node.share import share
+from mixtac_core.node.files import replacing, share, write_text
 from mixtac_fger.config import ModelError
 
 Tensors = Mapping[str, NDArray[Any]]

@@ -28,7 +28,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_core.node.stamps import stamp_to_us, us_to_stamp
+from mixtac_core.node.topics import stamp_to_us, us_to_stamp
 from mixtac_fger.reference import Reference, reference_name
 from mixtac_fger.validity import Reason
 from mixtac_msgs.msg import Contact, ForceQuality

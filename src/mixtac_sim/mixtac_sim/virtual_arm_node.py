@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 from mixtac_core.events.arrays import Floats
 from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns
+from mixtac_core.node.topics import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
     CYCLE_S,
     JOINT_NAMES,

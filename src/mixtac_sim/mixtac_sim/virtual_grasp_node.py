@@ -26,7 +26,7 @@ from mixtac_core.events.packets import header_stamp_ns
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
-from mixtac_core.node.stamps import ns_to_stamp, stamp_to_us
+from mixtac_core.node.topics import ns_to_stamp, stamp_to_us
 from mixtac_sim.arm import JOINT_NAMES, SIDEWAYS, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import draw_setup

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from mixtac_core.node.stamps import ns_to_stamp
+from mixtac_core.node.topics import ns_to_stamp
 from mixtac_msgs.srv import Touch
 from mixtac_sim.live.touch import TouchControl
 from mixtac_sim.live.virtual_sensor import SimulationProcess, make_virtual_sensor

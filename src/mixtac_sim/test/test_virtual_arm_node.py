@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_core.node.base_node import QOS_SENSOR
-from mixtac_core.node.stamps import ns_to_stamp
+from mixtac_core.node.topics import ns_to_stamp
 from mixtac_sim.arm import JOINT_NAMES, READY
 
 pytestmark = pytest.mark.dds

@@ -15,7 +15,7 @@ from geometry_msgs.msg import PointStamped, WrenchStamped
 from std_srvs.srv import Trigger
 
 from mixtac_core.node.base_node import QOS_FORCE
-from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_sim.usb.pyusb_backend import SocketLink
 
 pytestmark = pytest.mark.dds

@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mixtac_core.node.base_node import QOS_FORCE
-from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_msgs.srv import Touch
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.pyusb_backend import open_backend

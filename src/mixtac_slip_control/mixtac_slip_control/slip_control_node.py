@@ -31,7 +31,7 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.images import grey
-from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
 from mixtac_slip_control.arm.following import MAX_SAG_RAD
 from mixtac_slip_control.arm.model import (

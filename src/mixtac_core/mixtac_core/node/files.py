@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Write files completely or not at all; read files into checked dataclasses.
+"""Write files completely or not at all; read files into checked dataclasses; find installed files.
 
 Every error message names the path.
 """
@@ -17,6 +17,7 @@ import json
 import os
 import re
 import secrets
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +33,47 @@ T = TypeVar('T')
 
 class FileError(MixtacError):
     """A file that cannot be read or written, or whose content is invalid."""
+
+
+class ShareError(MixtacError):
+    """A package whose files are not installed."""
+
+
+def share(package: str) -> Path:
+    """Return the folder of the files that a package installs, with ROS or without.
+
+    Args:
+        package: Name of a package in an ament index, or of one that pip has installed.
+
+    Raises:
+        ShareError: The package is not installed.
+    """
+    installed = Path(sys.prefix) / 'share' / package
+    try:
+        from ament_index_python.packages import get_package_share_directory
+
+        return Path(get_package_share_directory(package))
+    except (ImportError, LookupError, OSError) as error:  # no ROS, or none that has this package
+        if installed.is_dir():
+            return installed
+        raise ShareError(
+            f'the files of {package} are not installed',
+            remedy='run "make setup", or source the workspace that has it',
+        ) from error
+
+
+@contextlib.contextmanager
+def _explained(failure: str, remedy: str = '') -> Iterator[None]:
+    """Raise errors of the system as FileError.
+
+    Args:
+        failure: Which action on which path fails.
+        remedy: What the user can do.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise FileError(f'{failure}: {error.strerror or error}', remedy=remedy) from error
 
 
 _PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,199}')
@@ -74,15 +116,13 @@ def writable(path: Path | None) -> Path | None:
     """
     if path is None:
         return None
-    try:
+    with _explained(f'cannot write {path}'):
         # A file that takes its place would replace a device for all programs.
         if not path.name or (path.exists() and not path.is_file()):
             raise FileError(f'cannot write {path}: it is no plain file', remedy='name a file')
         folder = next(each for each in path.absolute().parents if each.exists())
         if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             raise FileError(f'cannot write {path}', remedy='choose a writable folder')
-    except OSError as error:
-        raise FileError(f'cannot write {path}: {error.strerror or error}') from error
     return path
 
 
@@ -99,17 +139,12 @@ def replacing(path: Path) -> Iterator[Path]:
     writable(path)
     target = Path(os.path.realpath(path))
     scratch = target.with_name(f'.{target.stem}.{secrets.token_hex(4)}{path.suffix}')
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield scratch
-        scratch.replace(target)
-    except OSError as error:
-        reason = error.strerror or error
-        raise FileError(
-            f'cannot write {path}: {reason}', remedy='choose a writable place with free space'
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
+    with _explained(f'cannot write {path}', 'choose a writable place with free space'):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            yield scratch
+            scratch.replace(target)
+        finally:
             scratch.unlink(missing_ok=True)
 
 
@@ -123,7 +158,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     Raises:
         FileError: `path` exists, also when the block has ended, or cannot be written.
     """
-    try:
+    with _explained(f'cannot write {path}', 'choose a new folder with free space'):
         if path.exists() or path.name in ('', '..'):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -131,11 +166,6 @@ def new_folder(path: Path) -> Iterator[Path]:
             made = Path(scratch) / path.name
             yield made
             made.rename(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise FileError(
-            f'cannot write {path}: {reason}', remedy='choose a new folder with free space'
-        ) from error
 
 
 @contextlib.contextmanager
@@ -176,19 +206,6 @@ def write_json(path: Path | None, data: object) -> None:
         write_text(path, json.dumps(data, indent=2) + '\n')
 
 
-def load_yaml(text: str) -> Any:  # noqa: ANN401
-    """Return the content of a YAML document of plain values.
-
-    Raises:
-        FileError: It is not valid.
-    """
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise FileError(f'not valid YAML: {reason}') from error
-
-
 def read_data(path: Path) -> Any:  # noqa: ANN401
     """Return the content of a YAML file, or of a JSON file (by its suffix).
 
@@ -196,16 +213,12 @@ def read_data(path: Path) -> Any:  # noqa: ANN401
         FileError: It is missing, unreadable, or neither.
     """
     try:
-        text = path.read_text(encoding='utf-8')
-        return json.loads(text) if path.suffix == '.json' else load_yaml(text)
-    except OSError as error:
-        raise FileError(f'cannot read {path}: {error.strerror or error}') from error
-    except FileError as error:
-        raise FileError(f'{path} is {error.message}') from error
-    except (ValueError, RecursionError) as error:
+        with _explained(f'cannot read {path}'):
+            text = path.read_text(encoding='utf-8')
+        return json.loads(text) if path.suffix == '.json' else yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         kind = 'JSON' if path.suffix == '.json' else 'YAML'
-        reason = ' '.join(str(error).split())
-        raise FileError(f'{path} is not valid {kind}: {reason}') from error
+        raise FileError(f'{path} is not valid {kind}: {" ".join(str(error).split())}') from error
 
 
 def read_dataclass(path: Path, cls: type[T]) -> T:

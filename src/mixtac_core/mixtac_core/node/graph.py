@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mixtac_core.node.files import share
 from mixtac_core.node.parameters import yaml_scalar
 from mixtac_core.node.process import GraphError
-from mixtac_core.node.share import share
 from mixtac_core.node.topics import Topic
 
 

@@ -28,7 +28,7 @@ from types import FrameType
 from typing import IO, Any, cast
 
 from mixtac_core.events.errors import ERROR, MixtacError
-from mixtac_core.node.share import share
+from mixtac_core.node.files import share
 
 
 class GraphError(MixtacError):

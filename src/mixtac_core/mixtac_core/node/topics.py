@@ -3,7 +3,7 @@
 """Topics of the sensor graph: name, message type and QoS of each.
 
 `docs/reference.md` describes the content and the clock of each topic. This module also reads and
-writes force messages.
+writes force messages and stamps.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
     from geometry_msgs.msg import WrenchStamped
 
 DEFAULT_NAMESPACE = 'mixtac'
@@ -144,6 +145,29 @@ def sideways_force(message: ForceMessage) -> tuple[float, float]:
     """Return the force along x and y [N] of such a message."""
     force = message.wrench.force
     return float(force.x), float(force.y)
+
+
+def us_to_stamp(t_us: int) -> Time:
+    """Return a time [us since the epoch of its clock] as a ROS stamp."""
+    return ns_to_stamp(1000 * int(t_us))
+
+
+def stamp_to_us(stamp: Time) -> int:
+    """Return a ROS stamp as whole microseconds (rounded down) of its clock."""
+    return stamp_to_ns(stamp) // 1000
+
+
+def ns_to_stamp(t_ns: int) -> Time:
+    """Return a time [ns since the epoch of its clock] as a ROS stamp."""
+    from builtin_interfaces.msg import Time
+
+    seconds, nanoseconds = divmod(int(t_ns), 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a ROS stamp in nanoseconds of its clock."""
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 _STAMP = struct.Struct('<iI')

@@ -25,9 +25,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mixtac_core.node import topics
-from mixtac_core.node.files import FileError, read_data
-from mixtac_core.node.share import share
-from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.files import FileError, read_data, share
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_core.recordings.mcap_file import McapFile
 from mixtac_core.recordings.recording import (
     BAG_SUFFIXES,

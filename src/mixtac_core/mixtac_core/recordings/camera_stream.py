@@ -22,7 +22,7 @@ from mixtac_core.events.codec import READABLE, StreamDecoder
 from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node import topics
-from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
 from mixtac_core.recordings.aedat2 import Aedat2Recording
 from mixtac_core.recordings.aedat4 import Aedat4Recording

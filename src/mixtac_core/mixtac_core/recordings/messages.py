@@ -22,7 +22,7 @@ from mixtac_core.events.packetizer import Packet
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node import topics
 from mixtac_core.node.images import ImageConversionError, fill, pixels, set_octets
-from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings.recording import RecordingError
 
 New = Callable[[str], Any]

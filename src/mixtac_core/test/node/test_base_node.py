@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_core.node.process import fatal_text
-from mixtac_core.node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_core.node.topics import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp
 
 NODE = textwrap.dedent(
     """

@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mixtac_core.events.codec import encode
-from mixtac_core.node.share import share
+from mixtac_core.node.files import share
 from mixtac_core.recordings.bag_writer import repair
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS
 from mixtac_core.recordings.importing import import_recording

@@ -17,8 +17,7 @@ from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node import topics
-from mixtac_core.node.stamps import us_to_stamp
-from mixtac_core.node.topics import Topic
+from mixtac_core.node.topics import Topic, us_to_stamp
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity

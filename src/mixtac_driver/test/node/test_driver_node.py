@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_LATCHED, QOS_SENSOR, qos
-from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
 
 pytestmark = pytest.mark.dds
 RELIABLE = qos(topics.EVENTS, offered=True)

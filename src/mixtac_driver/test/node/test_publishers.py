@@ -24,7 +24,7 @@ from mixtac_core.events.readings import (
     InertialSamples,
 )
 from mixtac_core.node import topics
-from mixtac_core.node.stamps import stamp_to_us
+from mixtac_core.node.topics import stamp_to_us
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.camera_info import CalibratedCamera, CameraCalibration, write_camera_info
 from mixtac_driver.clock import Origin

@@ -22,7 +22,7 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.images import ImageConversionError, grey
-from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_fger.alignment import signals
 from mixtac_fger.alignment.align import Method, align, arrived_together
 from mixtac_fger.alignment.clock_fit import ClockFit

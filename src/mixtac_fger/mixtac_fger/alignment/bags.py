@@ -23,7 +23,7 @@ from mixtac_core.events.packets import read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder, read_data, write_json
 from mixtac_core.node.images import ImageConversionError, grey
-from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings.bag import BagFile, check_new, custom_data, fit_path, typestore
 from mixtac_core.recordings.bag_writer import McapBag, offered_qos
 from mixtac_core.recordings.recording import RecordingError

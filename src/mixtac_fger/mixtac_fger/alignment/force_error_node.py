@@ -15,7 +15,7 @@ from std_msgs.msg import Float64
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, declare, qos, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_core.node.stamps import stamp_to_ns
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_fger.alignment.histories import follow_stamps
 from mixtac_fger.alignment.parameters import ForceErrorParameters
 

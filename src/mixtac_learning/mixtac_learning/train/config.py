@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from mixtac_core.node.files import FileError, read_dataclass
-from mixtac_core.node.share import share
+from mixtac_core.node.files import FileError, read_dataclass, share
 from mixtac_core.node.topics import REFERENCE
 from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import Frame
 from mixtac_core.events.sequence import JUMP_US
-from mixtac_core.node.stamps import stamp_to_ns
-from mixtac_core.node.topics import REFERENCE
+from mixtac_core.node.topics import REFERENCE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile, custom_data, find_bags, fit_path
 from mixtac_core.recordings.camera_stream import BagRecording
 from mixtac_core.recordings.dataset import described_trial, folder_facts
