@@ -8,10 +8,7 @@ Needs `launch` and `launch_ros`, which come with a ROS installation only.
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
-import subprocess
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +17,6 @@ import yaml
 from launch import LaunchContext
 from launch.actions import DeclareLaunchArgument, RegisterEventHandler, SetEnvironmentVariable
 from launch.event_handlers import OnProcessExit, OnProcessIO
-from launch.logging import get_logger
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -29,17 +25,27 @@ from mixtac_core.node.process import GraphError, fatal_text, profile_environment
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
 
 BOOLEAN = ['true', 'false']
-LOGGER = get_logger('launch')
-_SHARED = {
-    'namespace': (DEFAULT_NAMESPACE, 'Namespace of all nodes and topics'),
-    'params_file': ('', 'Parameter file that overrides the shipped ones'),
-    'autostart': ('true', 'Configure and activate the force estimator'),
-    'log_level': (
-        'info',
-        'Lowest severity that the nodes log: debug, info, warn, error or fatal',
-    ),
+QUIET_IMPORTS = 'env --block-signal=INT'
+"""Prefix of a node's command with which SIGINT waits for the end of the imports."""
+_SHARED: dict[str, dict[str, Any]] = {
+    'namespace': {
+        'default_value': DEFAULT_NAMESPACE,
+        'description': 'Namespace of all nodes and topics',
+    },
+    'params_file': {
+        'default_value': '',
+        'description': 'Parameter file that overrides the shipped ones',
+    },
+    'autostart': {
+        'default_value': 'true',
+        'choices': BOOLEAN,
+        'description': 'Configure and activate the force estimator',
+    },
+    'log_level': {
+        'default_value': 'info',
+        'description': 'Lowest severity that the nodes log: debug, info, warn, error or fatal',
+    },
 }
-"""Default and description of the launch arguments that several launch files have."""
 
 
 def shared_arguments(*names: str) -> list[Any]:
@@ -48,12 +54,7 @@ def shared_arguments(*names: str) -> list[Any]:
     Args:
         names: `namespace`, `params_file`, `autostart` or `log_level`.
     """
-    found = []
-    for name in names:
-        default, text = _SHARED[name]
-        own: dict[str, Any] = {'choices': BOOLEAN} if default in BOOLEAN else {}
-        found.append(DeclareLaunchArgument(name, default_value=default, description=text, **own))
-    return found
+    return [DeclareLaunchArgument(name, **_SHARED[name]) for name in names]
 
 
 def environment() -> list[Any]:
@@ -81,53 +82,45 @@ def _typed(text: str) -> object:
     return typed
 
 
-def node_actions(
-    context: LaunchContext, *specs: NodeSpec, beside: Sequence[Node] = ()
-) -> list[Any]:
+def node_actions(context: LaunchContext, *specs: NodeSpec) -> list[Any]:
     """Return the actions that start nodes, and end the launch with a node that it needs.
 
-    A launch that a node ends has a status other than 0, and the node's reason is its last line. The
-    arguments `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
+    A launch that a node ends reports the node's reason and has a status other than 0. The arguments
+    `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
 
     Args:
         context: Of the launch.
         specs: The nodes.
-        beside: Nodes that are started with them and are not needed.
 
     Raises:
         GraphError: The parameter file does not exist.
     """
-    nodes = [(spec.name if spec.required else '', _node(context, spec)) for spec in specs]
-    nodes += [('', node) for node in beside]
-    failures: list[GraphError] = []
-    running = len(nodes)
+    actions: list[Any] = []
+    for spec in specs:
+        node = _node(context, spec)
+        actions += [*(_ends(spec.name, node) if spec.required else ()), node]
+    return actions
 
-    def watched(name: str, node: Node) -> list[Any]:
-        reason = f'{name} has ended'
 
-        def read(event: Any) -> None:  # noqa: ANN401
-            nonlocal reason
-            for line in event.text.decode(errors='replace').splitlines():
-                if text := fatal_text(line):
-                    reason = f'{name}: {text}'
+def _ends(name: str, node: Node) -> list[Any]:
+    """Return the handlers that end the launch with a node."""
+    reason = f'{name} has ended'
 
-        def ended(_event: object, context: LaunchContext) -> None:
-            nonlocal running
-            running -= 1
-            if name and not context.is_shutdown:
-                failures.append(GraphError(reason))
-                # Unlike the event Shutdown, an exception gives the launch a status other than 0.
-                raise failures[0]
-            if not running and failures:
-                LOGGER.error(str(failures[0]))
+    def read(event: Any) -> None:  # noqa: ANN401
+        nonlocal reason
+        for line in event.text.decode(errors='replace').splitlines():
+            if text := fatal_text(line):
+                reason = f'{name}: {text}'
 
-        return [
-            RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
-            RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
-            node,
-        ]
+    def ended(_event: object, context: LaunchContext) -> None:
+        if not context.is_shutdown:
+            # Unlike the event Shutdown, an exception gives the launch a status other than 0.
+            raise GraphError(reason)
 
-    return [action for name, node in nodes for action in watched(name, node)]
+    return [
+        RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
+        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
+    ]
 
 
 def _node(context: LaunchContext, spec: NodeSpec) -> Node:
@@ -143,18 +136,10 @@ def _node(context: LaunchContext, spec: NodeSpec) -> Node:
         name=spec.name,
         namespace=value(context, 'namespace'),
         output='screen',
-        prefix=quiet_imports(),
+        prefix=QUIET_IMPORTS,
         # Not as `parameters`: launch_ros writes values for the named node only, and two nodes of
         # one process have two names.
         arguments=spec.ros_arguments(
             Path(own) if own else None, value(context, 'log_level') or 'info'
         ),
     )
-
-
-@functools.cache
-def quiet_imports() -> str:
-    """Return the prefix with which SIGINT waits for the end of the imports; empty without one."""
-    prefix = ['env', '--block-signal=INT']
-    supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
-    return ' '.join(prefix) if supported else ''
