@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes of a sensor, and the command that starts each of them.
 
-`mixtac up`, the launch files and the benchmarks read this description.
+`mixtac up`, the launch files and the benchmarks read this description. As a program, this module
+runs the node of the module that its argument names, as its executable does.
 """
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -83,7 +85,7 @@ class NodeSpec:
         """
         names = ['-r', f'__ns:=/{namespace.strip("/")}', '-r', f'__node:={self.name}']
         return [
-            *(sys.executable, '-m', 'mixtac_core.node', self.module),
+            *(sys.executable, '-m', 'mixtac_core.node.graph', self.module),
             *self.ros_arguments(params_file, log_level),
             *names,
         ]
@@ -134,19 +136,16 @@ def sensor_graph(
         simulated_time: All nodes but the driver follow `/clock`. The driver publishes it from a
             recording, the virtual sensor from its simulation, a bag player without a driver.
         reference_topic: Topic of the reference force; empty keeps the topic of the parameter files.
-
-    Raises:
-        GraphError: A driver's parameter for a graph without a driver.
     """
     reference = {'reference_topic': reference_topic} if reference_topic else {}
     follow = {'use_sim_time': True} if simulated_time else {}
     nodes = []
     if is_virtual(device):
         path = device.partition(':')[2]
-        own: dict[str, object] = {**({'socket': path} if path else {}), **reference}
+        socket = {'socket': path} if path else {}
         # A slow host slows the clock of all nodes down.
-        own |= {'publish_clock': True} if simulated_time else {}
-        own |= virtual_sensor or {}
+        clock = {'publish_clock': True} if simulated_time else {}
+        own = {**socket, **reference, **clock, **(virtual_sensor or {})}
         nodes.append(node('mixtac_sim', 'virtual_sensor', required=True, overrides=own))
     if view:
         nodes.append(node('mixtac', 'view', overrides=follow))
@@ -156,15 +155,9 @@ def sensor_graph(
             node('mixtac_fger.alignment', 'force_error', overrides=follow),
         ]
     if device != NO_DRIVER:
-        own = {'device': device, **(driver or {})}
-        if simulated_time and not is_virtual(device):
-            own = {'playback_clock': True, **own}
+        clock = {'playback_clock': True} if simulated_time and not is_virtual(device) else {}
+        own = {'device': device, **clock, **(driver or {})}
         nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
-    elif driver:
-        raise GraphError(
-            f'{next(iter(driver))} is for a driver, but device {NO_DRIVER} starts none',
-            remedy='name a device, or leave it out',
-        )
     if slip is not None:
         nodes.append(slip_control({**follow, **slip}))
     # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
@@ -213,3 +206,8 @@ def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
     if save is not None:
         overrides['save'] = str(save)
     return node('mixtac', 'view', overrides=overrides)
+
+
+if __name__ == '__main__':
+    del sys.argv[0]
+    sys.exit(importlib.import_module(sys.argv[0]).main())
