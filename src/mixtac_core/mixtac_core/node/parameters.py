@@ -26,7 +26,6 @@ from mixtac_core.events.errors import MixtacError
 
 Value = bool | int | float | str
 T = TypeVar('T')
-_KEY = 'mixtac'
 
 
 class ParameterError(MixtacError):
@@ -63,28 +62,25 @@ class ParameterSpec:
         Raises:
             ParameterError: Wrong type, not finite, out of range, or none of the choices.
         """
+        given: Any = value
         if type(self.default) is float and type(value) is int:
-            value = float(value)
-        if type(value) is not type(self.default):
-            wanted = type(self.default).__name__
-            raise ParameterError(
-                f'parameter {self.name} = {value!r}: give a value of type {wanted}'
-            )
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ParameterError(f'parameter {self.name} = {value!r}: give a finite number')
-        self._check_range(value)
-        return value
+            given = float(value)
+        remedy = ''
+        if type(given) is not type(self.default):
+            remedy = f'give a value of type {type(self.default).__name__}'
+        elif isinstance(given, float) and not math.isfinite(given):
+            remedy = 'give a finite number'
+        elif self.choices and given not in self.choices:
+            remedy = f'choose one of {", ".join(map(str, self.choices))}'
+        elif isinstance(given, int | float) and not self._within(given):
+            remedy = f'outside {self.minimum} .. {self.maximum} {self.unit}'.rstrip()
+        if remedy:
+            raise ParameterError(f'parameter {self.name} = {given!r}: {remedy}')
+        return cast('Value', given)
 
-    def _check_range(self, value: Any) -> None:  # noqa: ANN401
-        low = self.minimum is not None and value < self.minimum
-        if low or (self.maximum is not None and value > self.maximum):
-            raise ParameterError(
-                f'parameter {self.name} = {value!r}: outside {self.minimum} .. {self.maximum}'
-                f'{" " + self.unit if self.unit else ""}'
-            )
-        if self.choices and value not in self.choices:
-            allowed = ', '.join(map(str, self.choices))
-            raise ParameterError(f'parameter {self.name} = {value!r}: choose one of {allowed}')
+    def _within(self, value: float) -> bool:
+        above = self.minimum is None or value >= self.minimum
+        return above and (self.maximum is None or value <= self.maximum)
 
 
 def parameter(
@@ -110,11 +106,9 @@ def parameter(
     Returns:
         A dataclass field, typed as its value so that the class type-checks.
     """
-    low, high = within
-    spec = ParameterSpec(
-        '', cast('Value', default), description, unit, low, high, choices, read_only
-    )
-    return dataclasses.field(default=default, metadata={_KEY: spec})
+    limits = {'minimum': within[0], 'maximum': within[1]}
+    rest = {'unit': unit, 'choices': choices, 'read_only': read_only}
+    return dataclasses.field(default=default, metadata={'description': description} | limits | rest)
 
 
 def fixed(default: T, **options: Any) -> T:  # noqa: ANN401
@@ -129,10 +123,10 @@ def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
     for base in reversed(schema.__mro__):
         described |= _attributes(base)
     found = []
-    for field in dataclasses.fields(schema):
-        spec: ParameterSpec = field.metadata[_KEY]
-        text = spec.description or described.get(field.name, '')
-        found.append(dataclasses.replace(spec, name=field.name, description=text))
+    for each in dataclasses.fields(schema):
+        text = each.metadata['description'] or described.get(each.name, '')
+        own: Any = {'name': each.name, 'default': each.default, 'description': text}
+        found.append(ParameterSpec(**{**each.metadata, **own}))
     return tuple(found)
 
 
