@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from mixtac_core.events.packets import CodecError, header_stamp_ns, read_packet
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter, header_stamp_ns, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.topics import Topic
 

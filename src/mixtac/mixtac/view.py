@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.codec import decode_message
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.events.packets import CodecError
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter
 from mixtac_core.node.diagnostics import RateMeter
 from mixtac_core.node.images import ImageConversionError, picture
 from mixtac_core.node.process import GraphError, ProcessGroup

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated bags have the defaults of the driver, which the simulator cannot import."""
 
-from mixtac_core.events.packetizer import PACKET_BYTES, PACKET_PERIOD_US
+from mixtac_core.events.windows import PACKET_BYTES, PACKET_PERIOD_US
 from mixtac_core.node.topics import CAMERA_FRAME, IMU_FRAME
 from mixtac_driver.parameters import DriverParameters
 from mixtac_sim.usb.words import ImuSettings

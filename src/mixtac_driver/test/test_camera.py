@@ -10,7 +10,7 @@ import time
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_core.events.packetizer import PACKET_PERIOD_US
+from mixtac_core.events.windows import PACKET_PERIOD_US
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import (
     NoCameraError,

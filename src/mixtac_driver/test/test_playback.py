@@ -20,8 +20,8 @@ from recording_samples import START_US, Bag, assert_equal, some_events
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode
-from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.readings import Frame
+from mixtac_core.events.windows import Packetizer
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.recording import Piece, RecordingError, from_time
 from mixtac_driver.errors import EndOfStream

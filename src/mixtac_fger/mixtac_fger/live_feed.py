@@ -10,8 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mixtac_core.events.codec import PacketMessage, decode_message
-from mixtac_core.events.packets import CodecError
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
 from mixtac_core.node.images import ImageConversionError, decompress_grey, grey
 from mixtac_fger.features import ImageError

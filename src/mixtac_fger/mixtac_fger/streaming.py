@@ -12,7 +12,7 @@ All times are on the camera clock [us].
   output until the next frame.
 * Packets are missing: windows without data produce no force, windows with incomplete data are
   marked. The state is kept, because a contact does not end with a lost packet; after a hole longer
-  than `LONG_HOLE_US` of `mixtac_core.events.sequence`, output resumes with the first frame exposed
+  than `LONG_HOLE_US` of `mixtac_core.events.packets`, output resumes with the first frame exposed
   after it.
 * The camera clock goes backwards: the recurrent state is reset and counted; the reference is kept,
   since the gel is still the same; output resumes with the next frame.
@@ -31,7 +31,7 @@ import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode, encode
-from mixtac_core.events.sequence import Arrival, StreamTime
+from mixtac_core.events.packets import Arrival, StreamTime
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
 from mixtac_fger.estimator import Estimate, EstimatorStatus

@@ -25,8 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 from mixtac_core.events.codec import decode_message, warm_up
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import PICTURE_KERNELS
-from mixtac_core.events.packets import CodecError, read_packet
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status

@@ -6,18 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_core.events.errors import MixtacError
-
 Floats = NDArray[np.float64]
 """An array of float64."""
-
-
-class EventArrayError(MixtacError):
-    """Arrays that do not form events."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,18 +33,10 @@ class Events:
     y: NDArray[np.uint16]
     polarity: NDArray[np.bool_]
 
-    def __post_init__(self) -> None:
-        """Check that the arrays have equal lengths.
-
-        Raises:
-            EventArrayError: The lengths differ.
-        """
-        shape = self.t.shape
-        if not (self.x.shape == self.y.shape == self.polarity.shape == shape) or len(shape) != 1:
-            shapes = (shape, self.x.shape, self.y.shape, self.polarity.shape)
-            raise EventArrayError(
-                f'event fields t, x, y, polarity have shapes {shapes}: give equal 1-d arrays'
-            )
+    @property
+    def fields(self) -> tuple[Any, ...]:
+        """The arrays of times, columns, rows and polarities."""
+        return self.t, self.x, self.y, self.polarity
 
     @classmethod
     def empty(cls, capacity: int = 0) -> Events:
@@ -68,12 +55,7 @@ class Events:
             return cls.empty()
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            np.concatenate([part.t for part in parts]),
-            np.concatenate([part.x for part in parts]),
-            np.concatenate([part.y for part in parts]),
-            np.concatenate([part.polarity for part in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*(part.fields for part in parts), strict=True)))
 
     def __len__(self) -> int:
         """Return the number of events."""
@@ -90,7 +72,7 @@ class Events:
 
     def copy(self) -> Events:
         """Return a copy that shares no memory."""
-        return Events(self.t.copy(), self.x.copy(), self.y.copy(), self.polarity.copy())
+        return Events(*(each.copy() for each in self.fields))
 
     def shifted(self, offset_us: int) -> Events:
         """Return the events with ``offset_us`` added to their times."""

@@ -9,7 +9,7 @@ its own events are lost.
 from __future__ import annotations
 
 from array import array
-from typing import Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,29 +20,16 @@ from mixtac_core.events.packets import LIBCAER_CMP, CodecError, DecodedPacket, E
 
 # In quotes: Python 3.11 cannot subscript array.
 Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
-_DECODERS = {LIBCAER_CMP: libcaer_cmp.decode, foreign.LIBCAER: foreign.decode_libcaer}
-READABLE = (*_DECODERS, foreign.EVT3)
+PacketMessage: TypeAlias = Any
+"""An `event_camera_msgs/EventPacket` of rclpy or rosbags, or a `SerialisedPacket`."""
+READABLE = (LIBCAER_CMP, foreign.LIBCAER, foreign.EVT3)
 """Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
 MAX_SPAN_US: Final = 1 << 24
 """Longest packet of a message [us], the most that `libcaer_cmp` holds. It bounds the number of
 windows that one packet can close."""
-
-
-class PacketMessage(Protocol):
-    """The fields of `event_camera_msgs/EventPacket` that decoding and counting need."""
-
-    seq: int
-    width: int
-    height: int
-    time_base: int
-    encoding: str
-    is_bigendian: bool
-
-    @property
-    def events(self) -> Payload:
-        """Encoded bytes."""
+_TYPES = (np.int64, np.uint16, np.uint16, np.bool_)
 
 
 def encode(events: Events, *, complete_until: int | None = None) -> EncodedPacket:
@@ -60,30 +47,30 @@ def encode(events: Events, *, complete_until: int | None = None) -> EncodedPacke
         CodecError: Events that it cannot carry, an empty packet without `complete_until`, or a
             `complete_until` before the last event.
     """
-    if len(events) == 0:
-        if complete_until is None or complete_until < 0:
-            raise CodecError(
-                f'an empty packet needs complete_until [us] >= 0, got {complete_until}'
-            )
-        return EncodedPacket(int(complete_until) * 1000, np.empty(0, np.uint8))
-    if events.t[0] < 0:
+    last = int(events.t[-1]) if len(events) else None
+    end = last if complete_until is None else int(complete_until)
+    if end is None or end < 0:
+        raise CodecError(f'an empty packet needs complete_until [us] >= 0, got {complete_until}')
+    if last is None:
+        return EncodedPacket(end * 1000, np.empty(0, np.uint8))
+    start = int(events.t[0])
+    if start < 0 or end < last:
         raise CodecError(
-            f'first event is at {events.t[0]} us: packets hold times after the epoch; add the '
-            "origin of the camera's clock first"
-        )
-    if complete_until is not None and complete_until < events.t[-1]:
-        raise CodecError(
-            f'complete_until = {complete_until} us lies before the last event at '
-            f'{events.t[-1]} us: give the later of both'
+            f'events from {start} us to {last} us, complete until {end} us: give times after the '
+            'epoch, and complete_until after the last event'
         )
     # The encoder is compiled for one memory layout.
-    contiguous = Events(
-        np.ascontiguousarray(events.t, np.int64),
-        np.ascontiguousarray(events.x, np.uint16),
-        np.ascontiguousarray(events.y, np.uint16),
-        np.ascontiguousarray(events.polarity, np.bool_),
-    )
-    return libcaer_cmp.encode(contiguous, complete_until)
+    arrays: Any = map(np.ascontiguousarray, events.fields, _TYPES)
+    words = np.empty(4 * len(events) + 2, np.uint16)
+    used = libcaer_cmp.encode_words(*arrays, end, words)
+    if used < 0:
+        at = -1 - used
+        raise CodecError(
+            f'event {at} at ({events.x[at]}, {events.y[at]}), {events.t[at]} us: libcaer_cmp holds '
+            f'events in the order of time, over {libcaer_cmp.MAX_SPAN_US} us, with coordinates up '
+            f'to {libcaer_cmp.MAX_COORDINATE}'
+        )
+    return EncodedPacket(start * 1000, words[:used].view(np.uint8).copy())
 
 
 def decode(
@@ -105,9 +92,9 @@ def decode(
         CodecError: Another encoding, truncated or damaged payload, an event outside the sensor,
             or a `time_base` that is negative or too large.
     """
-    if encoding not in _DECODERS:
+    if encoding not in (LIBCAER_CMP, foreign.LIBCAER):
         raise CodecError(
-            f'unknown encoding {encoding!r}: known are {", ".join(_DECODERS)};'
+            f'unknown encoding {encoding!r}: known are {LIBCAER_CMP} and {foreign.LIBCAER};'
             f' {foreign.EVT3} is read from recordings only'
         )
     start_us = int(time_base) // 1000
@@ -117,7 +104,29 @@ def decode(
     data = np.frombuffer(payload, np.uint8).copy()
     if data.size == 0:
         return DecodedPacket(Events.empty(), start_us)
-    return _DECODERS[encoding](data, start_us, width=int(width), height=int(height))
+    read = foreign.decode_libcaer if encoding == foreign.LIBCAER else _decode_libcaer_cmp
+    return read(data, start_us, width=int(width), height=int(height))
+
+
+def _decode_libcaer_cmp(
+    payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
+) -> DecodedPacket:
+    if payload.size % 2:
+        raise CodecError(
+            f'libcaer_cmp payload of {payload.size} bytes: truncated, a word has 2 bytes'
+        )
+    words = payload.view(np.uint16)
+    count = found = libcaer_cmp.count_events(words)
+    events = Events.empty(max(count, 0))
+    if count >= 0:
+        found = libcaer_cmp.decode_words(words, start_us, width, height, *events.fields)
+    if found < 0:
+        at = -1 - found
+        raise CodecError(
+            f'libcaer_cmp word {at} (0x{int(words[at]):04x}) is damaged, outside the sensor of '
+            f'{width} x {height}, or the packet lost its start'
+        )
+    return DecodedPacket(events, start_us + found)
 
 
 def decode_message(message: PacketMessage) -> DecodedPacket:

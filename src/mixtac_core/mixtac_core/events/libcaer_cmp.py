@@ -30,9 +30,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_core.events.arrays import Events
-from mixtac_core.events.packets import CodecError, DecodedPacket, EncodedPacket
-
 Times = NDArray[np.int64]
 Words = NDArray[np.uint16]
 Flags = NDArray[np.bool_]
@@ -48,26 +45,24 @@ _VECT_8: Final = 5 << 12
 _ON: Final = 1 << 11
 SHORTEST_VECTOR: Final = 3
 """Fewest events worth a vector: it takes two words for up to eight."""
-# Faults are negative numbers, so that the kernels run without the GIL.
-UNSORTED: Final = -1
-TOO_LONG: Final = -2
-OUTSIDE: Final = -3
-UNKNOWN_CODE: Final = -4
-NO_START: Final = -5
-_FAULTS: Final = {
-    UNSORTED: 'earlier than the event before it; sort events by t',
-    TOO_LONG: f'the packet is longer than {MAX_SPAN_US} us; cut the stream into shorter packets',
-    OUTSIDE: f'outside the sensor, or beyond {MAX_COORDINATE}; give the size of the right camera',
-    UNKNOWN_CODE: 'unknown code: not libcaer_cmp, or damaged',
-    NO_START: 'an event without column or row: the packet lost its start',
-}
 
 
 @njit(cache=True, nogil=True)
-def encode_words(
-    t: Times, x: Words, y: Words, polarity: Flags, end: int, words: Words
-) -> tuple[int, int]:
-    """Write all events and the final time; return (words, 0) or (fault, event)."""
+def encode_words(t: Times, x: Words, y: Words, polarity: Flags, end: int, words: Words) -> int:
+    """Write all events and the final time.
+
+    Args:
+        t: Times [us], not empty.
+        x: Columns.
+        y: Rows.
+        polarity: Whether pixels became brighter.
+        end: Final time [us], not before the last event.
+        words: Filled; four words for each event and two more suffice.
+
+    Returns:
+        The number of words; or -1 less the number of the first event that is earlier than the one
+        before, too late after the first one, or outside `MAX_COORDINATE`.
+    """
     count = len(t)
     used = 0
     dt = 0
@@ -76,14 +71,10 @@ def encode_words(
     first = int(np.int64(0))
     while first < count:
         now = t[first] - t[0]
-        if now < dt:
-            return UNSORTED, first
-        if now > MAX_SPAN_US:
-            return TOO_LONG, first
         x_first = int(x[first])
         y_first = int(y[first])
-        if (x_first | y_first) > MAX_COORDINATE:
-            return OUTSIDE, first
+        if now < dt or now > MAX_SPAN_US or (x_first | y_first) > MAX_COORDINATE:
+            return -1 - first
         # Each word is written, then kept or not, without branches: which words are needed is
         # random, and a mispredicted branch costs more than all of them.
         words[used] = now >> 12
@@ -104,23 +95,15 @@ def encode_words(
         else:
             used = _write_run(words, used, y, first, last, on)
         if y[last - 1] > MAX_COORDINATE:
-            return OUTSIDE, last - 1
+            return -int(last)
         first = last
-    if end - t[0] > MAX_SPAN_US:
-        return TOO_LONG, count
-    return _write_time(words, used, dt, end - t[0]), 0
-
-
-@njit(cache=True, nogil=True)
-def _write_time(words: Words, used: int, dt: int, now: int) -> int:
-    """Write the time words that lead from `dt` to `now`; return the words used."""
-    if now == dt:
-        return used
-    if (now >> 12) != (dt >> 12):
-        words[used] = now >> 12
-        used += 1
+    now = end - t[0]
+    if now > MAX_SPAN_US:
+        return -count
+    words[used] = now >> 12
+    used += int((now >> 12) != high)
     words[used] = _TIME_LOW | (now & 0xFFF)
-    return used + 1
+    return used + int(now != dt)
 
 
 @njit(cache=True, nogil=True)
@@ -169,8 +152,8 @@ def _write_run(words: Words, used: int, y: Words, first: int, last: int, on: int
 
 
 @njit(cache=True, nogil=True)
-def count_events(words: Words) -> tuple[int, int]:
-    """Return (events, 0), or (fault, word) if the order of the words is invalid."""
+def count_events(words: Words) -> int:
+    """Return the number of events; or -1 less the number of a word that is not possible there."""
     count = 0
     column = False
     base = False
@@ -178,25 +161,29 @@ def count_events(words: Words) -> tuple[int, int]:
         code = words[i] >> 12
         if code == 3:
             if not column:
-                return NO_START, i
+                return -1 - i
             count += 1
         elif code == 5:
             if not (base and column):
-                return NO_START, i
+                return -1 - i
             for bit in range(8):
                 count += (words[i] >> bit) & 1
         elif code > 5:
-            return UNKNOWN_CODE, i
+            return -1 - i
         column = column or code == 2
         base = base or code == 4
-    return count, 0
+    return count
 
 
 @njit(cache=True, nogil=True)
 def decode_words(
     words: Words, start: int, width: int, height: int, t: Times, x: Words, y: Words, polarity: Flags
-) -> tuple[int, int]:
-    """Fill the event arrays; return (final dt, 0) or (fault, word)."""
+) -> int:
+    """Fill the event arrays, whose times count from `start` [us].
+
+    Returns:
+        The final dt [us]; or -1 less the number of a word with an event outside the sensor.
+    """
     n = np.int64(0)
     high = np.int64(0)
     low = np.int64(0)
@@ -209,7 +196,7 @@ def decode_words(
         if code == 3:
             row = word & MAX_COORDINATE
             if row >= height or column >= width:
-                return OUTSIDE, i
+                return -1 - i
             t[n] = start + (high | low)
             x[n] = column
             y[n] = row
@@ -227,7 +214,7 @@ def decode_words(
         else:
             after = _decode_vector(word, n, width - column, height - base, y)
             if after < 0:
-                return OUTSIDE, i
+                return -1 - i
             for k in range(n, after):
                 t[k] = start + (high | low)
                 x[k] = column
@@ -235,12 +222,15 @@ def decode_words(
                 polarity[k] = base_on
             n = after
             base += 8
-    return int(high | low), 0
+    return int(high | low)
 
 
 @njit(cache=True, nogil=True)
 def _decode_vector(word: int, n: int, columns_left: int, rows_left: int, y: Words) -> int:
-    """Write the rows of a vector, counted from its base; return their end, or -1 outside."""
+    """Write the rows of a vector, counted from its base; return their end, or -1 outside.
+
+    Written into the loop over the words, it would slow all of them down.
+    """
     for bit in range(8):
         if (word >> bit) & 1:
             if bit >= rows_left or columns_left <= 0:
@@ -248,58 +238,3 @@ def _decode_vector(word: int, n: int, columns_left: int, rows_left: int, y: Word
             y[n] = bit
             n += 1
     return n
-
-
-def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
-    """Encode events; see `mixtac_core.events.codec.encode`.
-
-    Args:
-        events: At least one event, camera clock, times not decreasing.
-        complete_until: Camera clock [us], not before the last event, or None.
-
-    Raises:
-        CodecError: Coordinates over 11 bits, times that decrease or span more than 24 bits.
-    """
-    start = int(events.t[0])
-    end = int(events.t[-1]) if complete_until is None else complete_until
-    words = np.empty(4 * len(events) + 2, np.uint16)
-    used, at = encode_words(events.t, events.x, events.y, events.polarity, end, words)
-    if used < 0:
-        at = min(at, len(events) - 1)
-        where = f'event {at} at ({events.x[at]}, {events.y[at]}), {events.t[at]} us'
-        raise CodecError(f'{where}: {_FAULTS[used]}')
-    return EncodedPacket(start * 1000, words[:used].view(np.uint8).copy())
-
-
-def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int) -> DecodedPacket:
-    """Decode a packet that is not empty; see `mixtac_core.events.codec.decode`.
-
-    Args:
-        payload: Encoded bytes.
-        start_us: `time_base` in microseconds, camera clock.
-        width: Columns of the sensor.
-        height: Rows of the sensor.
-
-    Raises:
-        CodecError: Odd length, unknown word, event before a column or base, or outside the sensor.
-    """
-    if payload.size % 2:
-        raise CodecError(
-            f'libcaer_cmp payload of {payload.size} bytes: truncated, a word has 2 bytes'
-        )
-    words = payload.view(np.uint16)
-    count, at = count_events(words)
-    if count < 0:
-        raise _damaged(words, at, count, width, height)
-    events = Events.empty(count)
-    dt, at = decode_words(
-        words, start_us, width, height, events.t, events.x, events.y, events.polarity
-    )
-    if dt < 0:
-        raise _damaged(words, at, dt, width, height)
-    return DecodedPacket(events, start_us + dt)
-
-
-def _damaged(words: Words, at: int, fault: int, width: int, height: int) -> CodecError:
-    where = f'libcaer_cmp word {at} (0x{int(words[at]):04x}), sensor of {width} x {height}'
-    return CodecError(f'{where}: {_FAULTS[fault]}')

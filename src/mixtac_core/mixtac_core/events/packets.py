@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of events without ROS: encoded, decoded, read from serialised messages and written.
+"""Packets of events without ROS: encoded, decoded, read from serialised messages, written, counted.
 
 At 1000 packets per second, converting messages to Python objects costs more than processing them.
 A node that subscribes with ``raw=True`` gets the serialised bytes (CDR, OMG Common Data
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from mixtac_core.events.errors import MixtacError
@@ -73,7 +74,7 @@ _STAMP_AND_LENGTH = struct.Struct('<iII')
 _SIZE = struct.Struct('<II')
 _NUMBERS = struct.Struct('<QQI')
 _LENGTH = struct.Struct('<I')
-_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
+_STAMP = struct.Struct('<iI')
 
 
 @dataclass(slots=True, eq=False)
@@ -110,13 +111,9 @@ def read_packet(data: bytes) -> SerialisedPacket:
     Raises:
         CodecError: The bytes are cut off, or not little-endian CDR.
     """
-    if data[:2] != CDR_LITTLE_ENDIAN:
-        raise CodecError(
-            f'event packet with the representation {data[:2].hex()}: only little-endian CDR (0001)'
-            ' can be read'
-        )
+    stamp_ns = header_stamp_ns(data)
     try:
-        seconds, nanoseconds, length = _STAMP_AND_LENGTH.unpack_from(data, _START)
+        _, _, length = _STAMP_AND_LENGTH.unpack_from(data, _START)
         at = _aligned(_START + _STAMP_AND_LENGTH.size + length, 4)
         height, width = _SIZE.unpack_from(data, at)
         at = _aligned(at + _SIZE.size, 8)
@@ -134,7 +131,6 @@ def read_packet(data: bytes) -> SerialisedPacket:
         raise CodecError(
             f'event packet of {len(data)} bytes is cut off: {length} bytes of events were announced'
         )
-    stamp_ns = seconds * 1_000_000_000 + nanoseconds
     return SerialisedPacket(stamp_ns, seq, time_base, encoding, width, height, is_bigendian, events)
 
 
@@ -168,7 +164,7 @@ class PacketWriter:
             stamp_ns: Its arrival on the host [ns, host clock].
         """
         head = self._head
-        _STAMP[1].pack_into(head, _START, *divmod(stamp_ns, 1_000_000_000))
+        _STAMP.pack_into(head, _START, *divmod(stamp_ns, 1_000_000_000))
         struct.pack_into('<QQ', head, self._numbers_at, seq, packet.time_base)
         _LENGTH.pack_into(head, self._length_at, len(packet.payload))
         return b''.join((head, packet.payload.data))
@@ -186,10 +182,136 @@ def header_stamp_ns(data: bytes) -> int:
         data: CDR with its encapsulation header of 4 bytes (OMG XTypes 1.3, 7.4.3.5).
 
     Raises:
-        CodecError: The bytes are cut off.
+        CodecError: The bytes are cut off, or not little-endian CDR.
     """
-    try:
-        seconds, nanoseconds = _STAMP[data[1] & 1].unpack_from(data, _START)
-    except (struct.error, IndexError) as error:
-        raise CodecError(f'message of {len(data)} bytes is cut off: {error}') from error
+    if data[:2] != CDR_LITTLE_ENDIAN or len(data) < _START + _STAMP.size:
+        raise CodecError(
+            f'message of {len(data)} bytes with the representation {data[:2].hex()}: only whole '
+            'messages in little-endian CDR (0001) can be read'
+        )
+    seconds, nanoseconds = _STAMP.unpack_from(data, _START)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+RESTART_STEP = 1_000_000
+"""A larger step forward is a restart of the sender: 1000 s without packets at 1 kHz."""
+
+
+class SequenceCounter:
+    """Counts received, lost and repeated messages by their numbers, and restarts of the sender.
+
+    Attributes:
+        received: Messages seen, without repetitions.
+        lost: Messages missing between them. Messages missing around a restart are not counted,
+            because their number is unknown.
+        repeated: Messages with the number of the one before.
+        restarts: Times that the numbers went back, or forward by more than RESTART_STEP.
+        continuous: False if something is missing directly before the latest message: a loss or
+            a restart. True after the first message.
+        last: Number of the latest message, None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.received = self.lost = self.repeated = self.restarts = 0
+        self.continuous = True
+        self.last: int | None = None
+
+    def update(self, seq: int) -> int:
+        """Count a message.
+
+        Args:
+            seq: Its number; the sender counts up by one.
+
+        Returns:
+            The number of messages missing before it: 0 for the first, after a restart and for a
+            repetition, never negative.
+        """
+        seq = int(seq)
+        step = 1 if self.last is None else seq - self.last
+        self.last = seq
+        self.continuous = step in {0, 1}
+        if step == 0:
+            self.repeated += 1
+            return 0
+        self.received += 1
+        if not 0 < step <= RESTART_STEP:
+            self.restarts += 1
+            return 0
+        self.lost += step - 1
+        return step - 1
+
+
+BACKWARD_US: Final = 20_000
+"""A larger step back is a restarted clock, because packets of one camera come in order [us]."""
+LONG_HOLE_US: Final = 100_000
+"""After a longer hole the estimate starts from the next frame [us]."""
+JUMP_US: Final = 1_000_000
+"""A larger step forward is a hole even if no packet was lost: no camera is silent so long [us]."""
+
+
+class Arrival(Enum):
+    """How a packet relates to the one before."""
+
+    CONTINUES = 'continues'
+    AFTER_HOLE = 'after a hole'
+    STARTS = 'starts a stream, or follows a long hole or a restart of the clock'
+
+
+class StreamTime:
+    """Follows the time of a stream and remembers the latest stretch that no packet covered.
+
+    Attributes:
+        newest_us: Time up to which the stream is known, camera clock [us]; None before the first.
+        gaps: Holes of any length.
+        restarts: Times the clock went back.
+        skipped_us: Camera time in holes after which the estimate started over [us].
+    """
+
+    def __init__(self) -> None:
+        self.newest_us: int | None = None
+        self.gaps = 0
+        self.restarts = 0
+        self.skipped_us = 0
+        self._hole_us = (0, 0)
+
+    def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
+        """Add the times of a packet and return how it relates to the one before.
+
+        Args:
+            first_us: Its first event, or `complete_until_us` without one.
+            complete_until_us: No event before this time will follow.
+            lost_before: Packets directly before it are missing.
+        """
+        newest = self.newest_us
+        if newest is None:
+            return self._start(first_us, complete_until_us)
+        if complete_until_us < newest - BACKWARD_US:
+            self.restarts += 1
+            return self._start(first_us, complete_until_us)
+        self.newest_us = max(newest, complete_until_us)
+        step = first_us - newest
+        if step <= 0 or not (lost_before or step > JUMP_US):
+            return Arrival.CONTINUES
+        self.gaps += 1
+        if step > LONG_HOLE_US:
+            self.skipped_us += step
+            return self._start(first_us, complete_until_us)
+        self._hole_us = newest, first_us
+        return Arrival.AFTER_HOLE
+
+    def covered(self, end_us: int, width_us: int) -> tuple[bool, bool]:
+        """Return whether packets covered any part of a window, and whether they covered all of it.
+
+        Args:
+            end_us: End of the window.
+            width_us: Its length.
+        """
+        begin, end = self._hole_us
+        missing = min(end_us, end) - max(end_us - width_us, begin)
+        return missing < width_us, missing <= 0
+
+    def _start(self, first_us: int, complete_until_us: int) -> Arrival:
+        self.newest_us = complete_until_us
+        # Nothing is known about the time before the first event.
+        self._hole_us = (first_us - JUMP_US, first_us)
+        return Arrival.STARTS

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from mixtac_core.events.codec import READABLE, StreamDecoder
-from mixtac_core.events.packets import CodecError
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert

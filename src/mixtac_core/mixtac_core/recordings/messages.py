@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_core.events.packetizer import Packet
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.events.windows import Packet
 from mixtac_core.node import topics
 from mixtac_core.node.images import ImageConversionError, fill, pixels, set_octets
 from mixtac_core.node.topics import stamp_to_us

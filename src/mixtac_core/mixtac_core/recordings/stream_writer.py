@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.events.windows import Packetizer
 from mixtac_core.node import topics
 from mixtac_core.node.topics import Topic
 from mixtac_core.recordings import messages

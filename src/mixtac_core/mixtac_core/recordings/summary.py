@@ -13,8 +13,7 @@ import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import StreamDecoder
-from mixtac_core.events.packets import CodecError, read_packet
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter, read_packet
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile, is_storage
 from mixtac_core.recordings.camera_stream import open_recording

@@ -5,22 +5,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from mixtac_core.events.arrays import EventArrayError, Events
+from mixtac_core.events.arrays import Events
 
 
 def ramp(n: int) -> Events:
     i = np.arange(n)
     return Events(i.astype(np.int64) * 10, i.astype(np.uint16), i.astype(np.uint16), i % 2 == 0)
-
-
-def test_unequal_or_nested_fields_are_refused() -> None:
-    e = ramp(3)
-    with pytest.raises(EventArrayError):
-        Events(e.t[:2], e.x, e.y, e.polarity)
-    with pytest.raises(EventArrayError):
-        Events(e.t[None], e.x[None], e.y[None], e.polarity[None])
 
 
 def test_slices_masks_and_indices_choose_events() -> None:

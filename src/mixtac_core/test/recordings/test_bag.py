@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from recording_samples import START_US, Bag, some_events
 
+from mixtac_core.events.packets import CodecError
 from mixtac_core.node.topics import FORCE, TOPICS, message_class
 from mixtac_core.recordings.bag import (
     BagFile,
@@ -86,7 +87,10 @@ def test_a_file_that_is_missing_of_a_bag_is_named(bag: Path):
 
 
 def test_packets_that_cannot_be_decoded_leave_the_other_topics(bag: Path, monkeypatch):
-    monkeypatch.setattr('mixtac_core.events.codec._DECODERS', {})
+    def refuse(*_: object) -> None:
+        raise CodecError('libcaer_cmp is damaged')
+
+    monkeypatch.setattr('mixtac_core.events.codec.decode_message', refuse)
     found = summarise(bag)
     assert found.events == {}
     assert found.counts['/mixtac/force'] == 10

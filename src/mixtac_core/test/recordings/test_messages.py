@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode_message
-from mixtac_core.events.packetizer import Packet
 from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
+from mixtac_core.events.windows import Packet
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_core.recordings.recording import RecordingError

@@ -13,9 +13,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.events.windows import Packetizer
 from mixtac_core.node import topics
 from mixtac_core.node.topics import Topic, us_to_stamp
 from mixtac_core.recordings import messages

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packets import DecodedPacket
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import DecodedPacket, SequenceCounter
 
 CELL_PX: Final = 10
 """Side of a cell: several beads wide at most, so that motion of a part of a pixel shows."""

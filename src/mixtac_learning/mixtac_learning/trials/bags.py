@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
+from mixtac_core.events.packets import JUMP_US
 from mixtac_core.events.readings import Frame
-from mixtac_core.events.sequence import JUMP_US
 from mixtac_core.node.topics import REFERENCE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile, custom_data, find_bags, fit_path
 from mixtac_core.recordings.camera_stream import BagRecording

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
-from mixtac_core.events.packetizer import Packetizer
 from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_core.events.windows import Packetizer
 from mixtac_core.node.topics import CAMERA_FRAME, IMU, IMU_FRAME
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
