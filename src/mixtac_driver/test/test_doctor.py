@@ -123,7 +123,7 @@ def test_the_rule_that_is_named_exists_and_matches_the_camera():
 
 
 CLOCK = ClockEstimate(
-    offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, pairs=2000, steps=0
+    offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, steps=0
 )
 GOOD = Measurement(
     seconds=2.0,

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +54,6 @@ class ClockEstimate:
         skew_ppm: How much faster the host's clock runs [1e-6].
         residual_us: RMS distance of the quickest arrivals per second above the line [us].
         span_s: Time over which pairs were collected [s].
-        pairs: Pairs used since the last restart or step.
         steps: How often one of the clocks was set since the last restart.
     """
 
@@ -63,7 +61,6 @@ class ClockEstimate:
     skew_ppm: float
     residual_us: float
     span_s: float
-    pairs: int
     steps: int
 
 
@@ -83,7 +80,7 @@ class ClockMap:
         self._origin_us = self._origin_ns = 0
         self._buckets: deque[_Point] = deque(maxlen=BUCKETS)
         self._current: _Point | None = None
-        self._bucket = self._pairs = self._late_buckets = self._steps = 0
+        self._bucket = self._late_buckets = self._steps = 0
         self._middle = self._level = self._slope = 0.0
 
     def add(self, camera_us: int, host_ns: int) -> None:
@@ -99,15 +96,15 @@ class ClockMap:
         t = float(camera_us - self._origin_us)
         point = _Point(t, (host_ns - self._origin_ns) / 1000 - t)
         excess = self._excess(point)
-        if self._pairs and excess < -STEP_US:
-            self._step(camera_us, host_ns)
-            return
-        self._pairs += 1
-        self._collect(point)
-        if excess < 0:
+        if excess >= -STEP_US:
+            self._collect(point)
+        if excess < -STEP_US or self._late_buckets >= STEP_BUCKETS:
+            steps = self._steps + 1
+            self.restart()
+            self._steps = steps
+            self.add(camera_us, host_ns)
+        elif excess < 0:
             self._fit()
-        elif self._late_buckets >= STEP_BUCKETS:
-            self._step(camera_us, host_ns)
 
     def to_host_ns(self, camera_us: int) -> int:
         """Return the host time [ns] of a camera time [us]; needs `ready`."""
@@ -130,7 +127,6 @@ class ClockMap:
             skew_ppm=self._slope * 1e6,
             residual_us=float(np.sqrt(np.mean(above**2))),
             span_s=(points[-1].t - points[0].t) / 1e6 if points else 0.0,
-            pairs=self._pairs,
             steps=self._steps,
         )
 
@@ -139,12 +135,6 @@ class ClockMap:
 
     def _points(self) -> list[_Point]:
         return [*self._buckets, *([self._current] if self._current else [])]
-
-    def _step(self, camera_us: int, host_ns: int) -> None:
-        steps = self._steps + 1
-        self.restart()
-        self._steps = steps
-        self.add(camera_us, host_ns)
 
     def _collect(self, point: _Point) -> None:
         bucket = int(point.t // BUCKET_US)
@@ -170,15 +160,9 @@ class ClockMap:
 
 def _slope_below(points: list[_Point], middle: float) -> float:
     """Return the slope of the edge of the lower hull over `middle`; `points` are sorted."""
-    hull: list[_Point] = []
-    for point in points:
-        while len(hull) > 1:
-            (a_t, a_delay), (b_t, b_delay) = hull[-2:]
-            if (b_delay - a_delay) * (point.t - a_t) < (point.delay - a_delay) * (b_t - a_t):
-                break
-            hull.pop()
-        hull.append(point)
-    for left, right in pairwise(hull):
-        if right.t >= middle:
-            return (right.delay - left.delay) / (right.t - left.t)
-    return 0.0
+    t, delay = np.array(points).T
+    left = int(t.searchsorted(middle))
+    # The hull is the lowest of all lines between a point on the left and one on the right.
+    slopes = (delay[left:] - delay[:left, None]) / (t[left:] - t[:left, None])
+    heights = delay[:left, None] + slopes * (middle - t[:left, None])
+    return float(slopes.flat[heights.argmin()])

@@ -83,8 +83,6 @@ _VECTOR_12: Final = 0x4
 _VECTOR_8: Final = 0x5
 _TIME_LOW: Final = 0x6
 _TIME_HIGH: Final = 0x8
-_IGNORED: Final = (0x7, 0xA, 0xE, 0xF)
-"""Kinds of triggers, and of reports of the camera on itself."""
 _ROLL_OVER_US: Final = 1 << 24
 _BACK_US: Final = 10 << 12
 """A time that goes back by no more is not a roll-over [us]."""
@@ -107,7 +105,8 @@ class Evt3Decoder:
     def decode(self, payload: NDArray[np.uint8], *, width: int, height: int) -> DecodedPacket:
         """Decode the next packet.
 
-        Events before the first time of the stream, or outside the sensor, are left out.
+        Events before the first time of the stream, or outside the sensor, are left out, as are
+        triggers and reports of the camera on itself.
 
         Args:
             payload: Encoded bytes.
@@ -115,16 +114,13 @@ class Evt3Decoder:
             height: Rows of the sensor.
 
         Raises:
-            CodecError: An odd number of bytes, or a word of an unknown kind.
+            CodecError: An odd number of bytes.
         """
         if payload.size % 2:
             raise CodecError(f'evt3 payload of {payload.size} bytes: truncated, a word has 2 bytes')
         words = payload.view(np.uint16)
         events = Events.empty(12 * words.size)
-        arrays = (events.t, events.x, events.y, events.polarity)
-        count, fault, self._state = _decode_evt3(words, self._state, width, height, *arrays)
-        if fault >= 0:
-            raise CodecError(f'evt3 word {fault} is of unknown kind {words[fault] >> 12}')
+        count, self._state = _decode_evt3(words, self._state, width, height, *events.fields)
         events = events[:count].copy()
         if count and (np.diff(events.t) < 0).any():
             events = events[np.argsort(events.t, kind='stable')]
@@ -142,13 +138,12 @@ def _decode_evt3(  # noqa: C901, PLR0912  (one branch per kind of word)
     x: NDArray[np.uint16],
     y: NDArray[np.uint16],
     polarity: NDArray[np.bool_],
-) -> tuple[int, int, tuple[int, ...]]:
-    """Fill the event arrays; return the number of events, the wrong word or -1, the new state."""
+) -> tuple[int, tuple[int, ...]]:
+    """Fill the event arrays; return the number of events and the new state."""
     n = 0
-    fault = -1
     high, low, known, row, base, base_on = state
-    for at in range(len(words)):
-        kind, value = np.int64(words[at]) >> 12, np.int64(words[at]) & 0xFFF
+    for word in words:
+        kind, value = np.int64(word) >> 12, np.int64(word) & 0xFFF
         if kind == _TIME_HIGH:
             new = (high & ~np.int64(_ROLL_OVER_US - 1)) | value << 12
             if high - new > _BACK_US:
@@ -162,8 +157,6 @@ def _decode_evt3(  # noqa: C901, PLR0912  (one branch per kind of word)
             low = value
             if known:
                 known = _WHOLE
-        elif kind in _IGNORED:
-            pass
         elif kind == _ROW:
             row = value & 0x7FF
         elif kind == _BASE:
@@ -183,7 +176,4 @@ def _decode_evt3(  # noqa: C901, PLR0912  (one branch per kind of word)
                     y[n] = row
                     polarity[n] = on != 0
                     n += 1
-        else:
-            fault = at
-            break
-    return n, fault, (high, low, known, row, base, base_on)
+    return n, (high, low, known, row, base, base_on)

@@ -78,26 +78,6 @@ def _sum_along_rows(field: F32, radius: int, out: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _sum_along_columns(field: F32, radius: int, out: F32) -> None:
-    """Write the sums of 2 radius + 1 neighbours in a column, cut at the border."""
-    rows, columns = field.shape
-    for column in range(columns):
-        out[0, column] = np.float32(0.0)
-    for row in range(min(radius + 1, rows)):
-        for column in range(columns):
-            out[0, column] += field[row, column]
-    for row in range(1, rows):
-        for column in range(columns):
-            out[row, column] = out[row - 1, column]
-        if row + radius < rows:
-            for column in range(columns):
-                out[row, column] += field[row + radius, column]
-        if row - radius > 0:
-            for column in range(columns):
-                out[row, column] -= field[row - radius - 1, column]
-
-
-@njit(cache=True, nogil=True)
 def displacement(
     reference: F32, image: F32, radius: int, regularisation: float, work: F32, out: F32
 ) -> None:
@@ -128,7 +108,7 @@ def displacement(
             work[4, row, column] = gy * change
     for index in range(5):
         _sum_along_rows(work[index], radius, work[7])
-        _sum_along_columns(work[7], radius, work[index])
+        _sum_along_rows(work[7].T, radius, work[index].T)
     ridge = np.float32(regularisation * (2 * radius + 1) ** 2)
     for row in range(rows):
         for column in range(columns):

@@ -70,7 +70,6 @@ class DecodedPacket:
 CDR_LITTLE_ENDIAN: Final = b'\x00\x01'
 _START: Final = 4
 """Size of the encapsulation header; alignment counts from its end."""
-_STAMP_AND_LENGTH = struct.Struct('<iII')
 _SIZE = struct.Struct('<II')
 _NUMBERS = struct.Struct('<QQI')
 _LENGTH = struct.Struct('<I')
@@ -113,8 +112,9 @@ def read_packet(data: bytes) -> SerialisedPacket:
     """
     stamp_ns = header_stamp_ns(data)
     try:
-        _, _, length = _STAMP_AND_LENGTH.unpack_from(data, _START)
-        at = _aligned(_START + _STAMP_AND_LENGTH.size + length, 4)
+        at = _START + _STAMP.size
+        (length,) = _LENGTH.unpack_from(data, at)
+        at = _aligned(at + _LENGTH.size + length, 4)
         height, width = _SIZE.unpack_from(data, at)
         at = _aligned(at + _SIZE.size, 8)
         seq, time_base, length = _NUMBERS.unpack_from(data, at)
@@ -145,7 +145,7 @@ class PacketWriter:
     def __init__(self, frame_id: str, size: tuple[int, int]) -> None:
         width, height = size
         frame, name = (text.encode() + b'\0' for text in (frame_id, LIBCAER_CMP))
-        head = CDR_LITTLE_ENDIAN + bytes(2) + _STAMP_AND_LENGTH.pack(0, 0, len(frame)) + frame
+        head = CDR_LITTLE_ENDIAN + bytes(2) + _STAMP.pack(0, 0) + _LENGTH.pack(len(frame)) + frame
         head = head.ljust(_aligned(len(head), 4), b'\0') + _SIZE.pack(height, width)
         head = head.ljust(_aligned(len(head), 8), b'\0')
         self._numbers_at = len(head)

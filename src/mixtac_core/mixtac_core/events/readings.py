@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -95,22 +96,16 @@ class InertialSamples:
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> InertialSamples:
         """Return some of the samples."""
-        return InertialSamples(
-            self.t[rows],
-            self.acceleration[rows],
-            self.angular_velocity[rows],
-            self.temperature[rows],
-        )
+        return InertialSamples(*(each[rows] for each in self._fields))
 
     @classmethod
     def concatenate(cls, parts: Sequence[InertialSamples]) -> InertialSamples:
         """Return the samples of all parts, at least one, in the order given."""
-        return cls(
-            np.concatenate([part.t for part in parts]),
-            np.concatenate([part.acceleration for part in parts]),
-            np.concatenate([part.angular_velocity for part in parts]),
-            np.concatenate([part.temperature for part in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*(part._fields for part in parts), strict=True)))
+
+    @property
+    def _fields(self) -> tuple[Any, ...]:
+        return self.t, self.acceleration, self.angular_velocity, self.temperature
 
 
 def inertial_samples(

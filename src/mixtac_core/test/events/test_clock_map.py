@@ -72,17 +72,13 @@ def test_steps_of_the_host_clock_are_followed(jump_s):
     assert abs(clock.to_host_ns(int(camera[-1])) - host[-1]) < 1_000_000
 
 
-def test_short_spans_say_nothing_of_the_skew():
-    clock = mapped(*(a[:10] for a in arrivals(1, 0, np.linspace(5000, 0, 500))[::2]))
-    assert clock.estimate().skew_ppm == 0
-
-
 def test_restart_forgets():
     clock = ClockMap()
     assert not clock.ready
     clock.add(1000, EPOCH_NS)
     clock.add(1_000_000, EPOCH_NS)
-    assert (clock.ready, clock.estimate().steps) == (True, 1)
+    # The span is too short for a skew.
+    assert (clock.ready, clock.estimate().steps, clock.estimate().skew_ppm) == (True, 1, 0.0)
     clock.restart()
     assert not clock.ready
     assert clock.estimate().steps == 0

@@ -114,10 +114,9 @@ def test_a_time_that_goes_back_a_little_is_no_roll_over():
     assert found.complete_until == 20 << 12
 
 
-@pytest.mark.parametrize('payload', [words((9, 0)), np.zeros(3, np.uint8)])
-def test_other_words_are_refused(payload):
+def test_a_cut_off_word_is_refused():
     with pytest.raises(CodecError):
-        StreamDecoder().decode(message(payload))
+        StreamDecoder().decode(message(np.zeros(3, np.uint8)))
 
 
 def libcaer(*events: tuple[int, int, int, bool]) -> bytes:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.events.frames import bin_mean, displacement, gradients, log_contrast
+from mixtac_core.events.frames import bin_mean, displacement, log_contrast
 
 
 def waves(shift_x: float = 0.0, shift_y: float = 0.0) -> np.ndarray:
@@ -36,15 +36,6 @@ def test_log_contrast_does_not_depend_on_exposure(gain):
     log_contrast((image * gain).astype(np.float32), 0.05, other)
     assert np.allclose(one, other, atol=1e-4)
     assert np.allclose(one, np.log(image / image.mean() + 0.05), atol=1e-5)
-
-
-def test_gradients_are_those_of_numpy_inside():
-    image = waves()
-    along_x, along_y = np.empty_like(image), np.empty_like(image)
-    gradients(image, 2, along_x, along_y)
-    expected_y, expected_x = np.gradient(image, 2)
-    assert np.allclose(along_x[1:-1, 1:-1], expected_x[1:-1, 1:-1], atol=1e-6)
-    assert np.allclose(along_y[1:-1, 1:-1], expected_y[1:-1, 1:-1], atol=1e-6)
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 4), st.integers(0, 1000))
@@ -79,10 +70,3 @@ def test_displacement_finds_how_far_a_texture_moved(shift_x, shift_y):
     # their curvature adds up to 0.012 px, most where the other direction moves by half a pixel.
     shift = np.array([shift_x, shift_y])
     assert np.all(np.abs(inner - shift) <= 0.1 * np.abs(shift) + 0.015)
-
-
-def test_displacement_without_texture_is_zero():
-    flat = np.zeros((20, 20), np.float32)
-    work, out = np.empty((9, 20, 20), np.float32), np.empty((2, 20, 20), np.float32)
-    displacement(flat, flat + 0.3, 3, 1e-3, work, out)
-    assert np.array_equal(out, np.zeros_like(out))

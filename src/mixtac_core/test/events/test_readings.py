@@ -19,16 +19,12 @@ def sample(values, info, flips=(False, False, False), imu_type=2):
     return inertial_samples(np.array([1]), raw(values, info), flips, imu_type)
 
 
-@pytest.mark.parametrize(('scale', 'g'), [(0, 2), (1, 4), (2, 8), (3, 16)])
-def test_full_scale_of_acceleration(scale, g):
-    got = sample([-32768, 16384, 0, 0, 0, 0, 0], 0xE0 | scale << 2)
-    np.testing.assert_allclose(got.acceleration[0], np.array([-1, 0.5, 0]) * g * 9.80665)
-
-
-@pytest.mark.parametrize(('scale', 'degrees'), [(0, 250), (1, 500), (2, 1000), (3, 2000)])
-def test_full_scale_of_rotation(scale, degrees):
-    got = sample([0, 0, 0, 0, -32768, 16384, 0], 0xE0 | scale)
-    np.testing.assert_allclose(got.angular_velocity[0], np.deg2rad([-degrees, degrees / 2, 0]))
+@pytest.mark.parametrize('scale', range(4))
+def test_full_scales_of_acceleration_and_rotation(scale):
+    got = sample([-32768, 16384, 0, 0, -32768, 16384, 0], 0xE0 | scale << 2 | scale)
+    share = np.array([-1, 0.5, 0]) * 2**scale
+    np.testing.assert_allclose(got.acceleration[0], share * 2 * 9.80665)
+    np.testing.assert_allclose(got.angular_velocity[0], np.deg2rad(share * 250))
 
 
 def test_flipped_axes_change_sign_without_overflow():
