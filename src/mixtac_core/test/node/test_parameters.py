@@ -51,17 +51,10 @@ class Longer(Example):
     exposure: int = parameter(7000)
 
 
-def test_specs_carry_what_ros_needs():
-    by_name = {spec.name: spec for spec in specs(Example)}
-    assert list(by_name) == ['device', 'exposure', 'interval', 'enabled']
-    assert by_name['exposure'].unit == 'us'
-    assert by_name['exposure'].maximum == 1_000_000
-    assert by_name['enabled'].read_only
-    assert by_name['device'].choices == ('davis346', 'virtual')
-
-
 def test_descriptions_are_those_of_the_docstrings():
-    texts = {spec.name: spec.description for spec in specs(Longer)}
+    found = specs(Longer)
+    assert [spec.name for spec in found if spec.read_only] == ['enabled']
+    texts = {spec.name: spec.description for spec in found}
     assert texts == {
         'device': 'What to open: the name of a camera, or of a virtual one.',
         'exposure': 'Exposure time',

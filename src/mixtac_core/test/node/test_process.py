@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import os
 import select
@@ -13,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import psutil
@@ -22,7 +20,6 @@ import pytest
 from mixtac_core.node.process import (
     GraphError,
     ProcessGroup,
-    exact_sleeps,
     fatal_text,
 )
 
@@ -39,22 +36,6 @@ def wait_until(condition, seconds: float = 10.0) -> None:
     assert condition()
 
 
-@pytest.mark.skipif(sys.platform != 'linux', reason='only Linux lets sleeps last longer')
-def test_sleeps_of_one_thread_end_on_time():
-    def slack_ns() -> int:
-        return ctypes.CDLL(None).prctl(30)
-
-    before = slack_ns()
-
-    def exact() -> int:
-        exact_sleeps()
-        return slack_ns()
-
-    with ThreadPoolExecutor(1) as thread:
-        assert thread.submit(exact).result() <= 1000
-    assert slack_ns() == before
-
-
 def died(group: ProcessGroup) -> bool:
     try:
         group.check()
@@ -63,35 +44,24 @@ def died(group: ProcessGroup) -> bool:
     return False
 
 
-def test_a_group_ends_all_its_processes(tmp_path: Path):
-    before = {p.pid for p in psutil.Process().children()}
-    with ProcessGroup(tmp_path) as group:
-        group.start('one', WAIT)
-        group.start('two', WAIT)
-        group.check()
-        started = {p.pid for p in psutil.Process().children()} - before
-        assert len(started) == 2
-    assert not started & {p.pid for p in psutil.Process().children()}
-
-
-def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
+def test_a_dead_process_is_named_with_its_last_words_and_the_others_are_ended(tmp_path: Path):
     script = "import sys; print('error: no camera'); print('bye'); sys.exit(3)"
     with ProcessGroup(tmp_path) as group:
+        group.start('other', WAIT)
+        other = psutil.Process(group.pid('other'))
+        group.check()
         group.start('driver', [sys.executable, '-c', script])
         wait_until(lambda: died(group))
         with pytest.raises(GraphError) as caught:
             group.check()
     assert 'status 3' in str(caught.value)
     assert str(caught.value).endswith('no camera')
+    assert not other.is_running()
 
 
 def test_why_a_node_ends_is_read_from_its_last_words():
     assert fatal_text('error: no camera\n') == 'no camera'
     assert fatal_text('[INFO] [1.0] [driver]: error: no camera') == ''
-    script = 'import faulthandler as f, time; f.dump_traceback_later(0.1, exit=True); time.sleep(9)'
-    command = [sys.executable, '-c', script]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert fatal_text(run.stderr.splitlines()[0])
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
