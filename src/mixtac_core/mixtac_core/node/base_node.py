@@ -251,10 +251,12 @@ class Signals:
     an exception of their own.
 
     Attributes:
-        ended: Done after a signal.
+        received: Whether a signal has arrived.
+        ended: Done from then on.
     """
 
     def __init__(self) -> None:
+        self.received = False
         self.ended = Future()
         self._stderr = os.dup(2)
         signal.signal(signal.SIGALRM, self._interrupt)
@@ -264,7 +266,8 @@ class Signals:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
     def _receive(self, _signum: int, _frame: object) -> None:
-        if not self.ended.done():
+        if not self.received:
+            self.received = True
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
             self.ended.set_result(None)
 
@@ -304,14 +307,15 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
             node = node_class()
         freeze_loaded()
         _spin(node, signals.ended)
-    except MixtacError as error:
-        print(error_line(str(error)), file=sys.stderr)
-        return 1
     except (ExternalShutdownException, KeyboardInterrupt):
         pass
-    except Exception:
-        if not signals.ended.done():
-            raise
+    except Exception as error:
+        # What was interrupted may end with any error.
+        if not signals.received:
+            if not isinstance(error, MixtacError):
+                raise
+            print(error_line(str(error)), file=sys.stderr)
+            return 1
     finally:
         faulthandler.cancel_dump_traceback_later()
         signals.ignore()

@@ -47,7 +47,7 @@ NODE = textwrap.dedent(
                 try:
                     self.work()
                 except BaseException as error:
-                    raise SystemError('a library failed') from error
+                    raise MixtacError('a library failed') from error
             self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status)
             if self.values.device == 'stuck':
                 # Holds the interpreter's lock, as a call that hangs in the middleware does.
