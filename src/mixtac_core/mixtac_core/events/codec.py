@@ -174,13 +174,12 @@ class StreamDecoder:
 
 
 def _bounded(packet: DecodedPacket) -> DecodedPacket:
-    if packet.complete_until - packet.start_us > MAX_SPAN_US:
+    span_us, end_us = packet.complete_until - packet.start_us, packet.complete_until
+    if span_us > MAX_SPAN_US or 1000 * end_us >= MAX_TIME_BASE:
         raise CodecError(
-            f'event packet of {packet.complete_until - packet.start_us} us is longer than '
-            f'{MAX_SPAN_US} us'
+            f'event packet of {span_us} us ends at {end_us} us: packets last at most {MAX_SPAN_US} '
+            'us and end before 2038'
         )
-    if packet.complete_until * 1000 >= MAX_TIME_BASE:
-        raise CodecError(f'event packet ends at {packet.complete_until} us, after all ROS stamps')
     return packet
 
 

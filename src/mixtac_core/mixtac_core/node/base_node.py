@@ -214,14 +214,14 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(name=spec.name, description=text, dynamic_typing=True)
     if spec.choices:
         descriptor.additional_constraints = 'one of ' + ', '.join(map(str, spec.choices))
-    if spec.minimum is None or spec.maximum is None:
-        return descriptor
-    if type(spec.default) is int:
-        whole = IntegerRange(from_value=int(spec.minimum), to_value=int(spec.maximum), step=1)
-        descriptor.integer_range = [whole]
-    if type(spec.default) is float:
-        low, high = float(spec.minimum), float(spec.maximum)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    low, high = spec.minimum, spec.maximum
+    if low is not None and high is not None:
+        if type(spec.default) is int:
+            whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            descriptor.integer_range = [whole]
+        else:
+            real = FloatingPointRange(from_value=float(low), to_value=float(high))
+            descriptor.floating_point_range = [real]
     return descriptor
 
 
