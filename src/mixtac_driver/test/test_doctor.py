@@ -122,9 +122,7 @@ def test_the_rule_that_is_named_exists_and_matches_the_camera():
     assert 'ATTRS{idProduct}=="84[0-1]?"' in text
 
 
-CLOCK = ClockEstimate(
-    offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, steps=0
-)
+CLOCK = ClockEstimate(offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, steps=0)
 GOOD = Measurement(
     seconds=2.0,
     elapsed_s=2.0,
