@@ -127,11 +127,9 @@ CLOCK = ClockEstimate(
 )
 GOOD = Measurement(
     seconds=2.0,
-    elapsed_s=2.0,
     events=100_000,
     frames=50,
     samples=2000,
-    size=20_000_000,
     clock=CLOCK,
 )
 
@@ -153,16 +151,13 @@ def identity():
         ('frames', {'frames': 45}, Level.OK),
         ('inertial samples', {'samples': 0}, Level.ERROR),
         ('inertial samples', {'samples': 1500}, Level.WARN),
-        ('losses', {'stalls': 1}, Level.WARN),
         ('losses', {'losses': {'frames dropped': 2}}, Level.WARN),
-        ('losses', {'losses': {'usb transfers dropped': 3}}, Level.WARN),
-        ('losses', {'elapsed_s': 3.0}, Level.WARN),
+        ('losses', {'dropped': 3}, Level.WARN),
         ('camera clock', {'clock': None}, Level.WARN),
         ('camera clock', {'clock_resets': 1}, Level.WARN),
         ('camera clock', {'clock': dataclasses.replace(CLOCK, skew_ppm=-150.0)}, Level.WARN),
-        ('camera clock', {'clock': dataclasses.replace(CLOCK, residual_us=2000.0)}, Level.WARN),
         ('camera clock', {'clock': dataclasses.replace(CLOCK, span_s=2.0)}, Level.OK),
-        ('losses', {'elapsed_s': 0.0, 'seconds': 0.0}, Level.OK),
+        ('losses', {'seconds': 0.0}, Level.OK),
     ],
 )
 def test_figures_are_judged(identity, name, changes, level):
@@ -191,8 +186,7 @@ def test_a_running_camera_is_measured(scene):
     samples = found['inertial samples']
     assert samples.level is Level.WARN
     assert samples.values['inertial samples [1/s]'] == pytest.approx(200, rel=0.1)
-    assert found['losses'].values['usb [MB/s]'] > 0
-    assert found['losses'].values['usb transfers dropped'] == 0
+    assert found['losses'].values['frames dropped'] == 0
     # It was given back: another may have it at once.
     assert next(check_running(VIRTUAL, 0.1, backend=backend)).name == 'identity'
 

@@ -49,4 +49,4 @@ def test_lost_byte_drops_the_sample_and_not_the_next():
         found = both([*words[:k], *words[k + 1 :], *words])
         assert len(found.samples) == 1
         counters = found.decoder.counters
-        assert counters.imu_dropped + counters.imu_unexpected > 0
+        assert counters.imu_dropped + counters.words_unexpected > 0
