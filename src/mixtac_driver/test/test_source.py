@@ -10,7 +10,7 @@ from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.playback import RecordedSource
-from mixtac_driver.source import SourceKind, make_source, source_kind
+from mixtac_driver.supervisor import SourceKind, make_source, source_kind
 
 
 def make(device):

@@ -19,8 +19,8 @@ from numba import int64, njit, uint8, uint16, uint64
 
 BLOCK = 256
 """Words that `take_block` takes at once."""
-# Effect of a word by its kind, bits 15:12: a row (1), an event (2, 3) or a time stamp (8 .. 15). The
-# header holds the time stamp (bits 31:16) and the row (15:0) of the next events.
+# Effect of a word by its bits 15:12: a row is 1, an event 2 or 3, a time stamp 8 .. 15. The header
+# holds the time stamp (bits 31:16) and the row (15:0) of the next events.
 _ADVANCE = np.array([1, 0, *[1] * 6, *[0] * 8], np.uint64)
 """Number of events that a word adds to the output."""
 _KEEP = np.array([0xFFFFFFFF, 0xFFFF0000, *[0xFFFFFFFF] * 6, *[0x0000FFFF] * 8], np.uint64)
@@ -45,7 +45,8 @@ def _is_usual(words: Words, start: int, rows: int, columns: int) -> bool:
         not_event = uint16(max(column, last_column) - last_column)
         not_stamp = uint16(max(word, uint16(0x8000)) - word)
         unusual = uint16(unusual | min(not_row, not_event, not_stamp))
-    return unusual == 0
+    usual: bool = unusual == 0
+    return usual
 
 
 @njit(nogil=True, forceinline=True)
