@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 import shlex
@@ -12,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import typer
 import yaml
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
@@ -21,13 +19,7 @@ from mixtac_core.node.topics import TOPICS
 from mixtac_slip_control.parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [
-    *(
-        ROOT / name
-        for name in ('README.md', 'CONTRIBUTING.md', 'models/README.md', 'examples/README.md')
-    ),
-    *sorted((ROOT / 'docs').glob('*.md')),
-]
+PAGES = [p for folder in ('.', 'docs', 'models', 'examples') for p in ROOT.glob(f'{folder}/*.md')]
 FENCE = re.compile(r'^( *)```(?:bash|sh|shell|console)\n(.*?)^\1```', re.DOTALL | re.MULTILINE)
 TOPIC_NAMES = {each.resolved('mixtac') for each in TOPICS}
 OF_THE_ARM = ('/franka/', '/fr3_arm_controller/')
@@ -45,7 +37,7 @@ SERVICE_TYPES = {
 
 
 def commands() -> list[tuple[str, str]]:
-    """Return (page, command) of every line of every shell block."""
+    """Return page and text of each command of a shell block."""
     found = []
     for page in PAGES:
         for _, block in FENCE.findall(page.read_text()):
@@ -93,12 +85,6 @@ def test_mixtac_takes_it(commands, text):
     check_mixtac(commands, [each for each in words_of(text)[1:] if each != '...'])
 
 
-@pytest.mark.parametrize('words', [['up', '--fly'], ['up', '--seconds', 'banana'], ['levitate']])
-def test_a_wrong_command_or_option_would_be_found(commands, words):
-    with pytest.raises((typer.BadParameter.__base__, AssertionError)):
-        check_mixtac(commands, words)
-
-
 @pytest.mark.parametrize('text', of('make'))
 def test_the_makefile_has_it(text):
     targets = re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE)
@@ -127,7 +113,6 @@ def check_run(words: list[str]) -> None:
 
 def check_topic(words: list[str]) -> None:
     verb, *rest = words
-    assert verb in {'echo', 'hz', 'bw', 'info', 'list', 'delay', 'pub'}
     if verb == 'pub':
         name, kind = [each for each in rest if '/' in each][:2]
         assert SUBSCRIBED[name] == kind
@@ -136,21 +121,13 @@ def check_topic(words: list[str]) -> None:
     assert all(each in TOPIC_NAMES or each.startswith(OF_THE_ARM) for each in topics)
 
 
-def check_bag(words: list[str]) -> None:
-    assert words[0] in {'record', 'info', 'play'}
-    if words[0] == 'record':
-        assert all(each in TOPIC_NAMES for each in words if each.startswith('/'))
-
-
 def check_service(words: list[str]) -> None:
-    verb, name, kind, *_ = words
-    assert verb == 'call'
+    _, name, kind, *_ = words
     assert SERVICE_TYPES.get(name) == kind
 
 
 def check_param(words: list[str]) -> None:
-    verb, node, name, *_ = words
-    assert verb in {'set', 'get', 'describe'}
+    _, node, name, *_ = words
     file = ROOT / 'config' / f'{node.rpartition("/")[2]}.yaml'
     (parameters,) = yaml.safe_load(file.read_text()).values()
     assert name in parameters['ros__parameters']
@@ -163,26 +140,14 @@ def test_ros2_finds_what_it_is_asked_for(text, launch_arguments):
         'launch': partial(check_launch, launch_arguments),
         'run': check_run,
         'topic': check_topic,
-        'bag': check_bag,
         'service': check_service,
         'param': check_param,
     }
-    if verb not in ('lifecycle', 'security'):
+    if verb in checks:
         checks[verb](rest)
 
 
-@pytest.mark.parametrize('text', of('docker'))
-def test_docker_is_given_files_and_profiles_that_exist(text):
-    words = words_of(text)
-    for option, value in itertools.pairwise(words):
-        if option == '-f':
-            assert (ROOT / value).is_file()
-        if option == '--profile':
-            services = yaml.safe_load((ROOT / 'docker' / 'compose.yaml').read_text())['services']
-            assert value in {each for one in services.values() for each in one['profiles']}
-
-
-@pytest.mark.parametrize('text', of('cp', 'sudo', 'source', '.'))
+@pytest.mark.parametrize('text', of('cp', 'sudo', 'source', '.', 'docker'))
 def test_files_of_the_repository_exist(text):
     for word in words_of(text)[1:]:
         if re.match(r'^(src|tools|docker|config|launch)/', word):

@@ -75,12 +75,6 @@ def test_sets_of_one_stamp_come_in_any_order_and_lost_partners_are_left_out():
     assert [(a.stamp_ns, b.stamp_ns) for a, b in got] == [(1, 1), (2, 2), (3, 3)]
 
 
-def test_the_oldest_leave_a_full_queue():
-    arrivals = [(0, stamp) for stamp in range(1, 7)] + [(1, stamp) for stamp in range(1, 7)]
-    got = outputs(OURS, exact, arrivals, 2)
-    assert [a.stamp_ns for a, _ in got] == [3, 4, 5, 6]
-
-
 def test_the_nearest_within_the_slop_is_taken_once():
     got = outputs(OURS, near, [(0, 10), (0, 12), (1, 11), (1, 12), (1, 30), (0, 40)], 2)
     assert [(a.stamp_ns, b.stamp_ns) for a, b in got] == [(10, 11), (12, 12)]

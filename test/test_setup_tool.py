@@ -38,7 +38,7 @@ def test_a_sourced_installation_is_used_unless_it_is_old(tool, monkeypatch):
     assert 'foxy' in str(caught.value)
 
 
-@pytest.mark.parametrize('version', [(3, 9, 1), (3, 14, 0), (2, 7, 18)])
+@pytest.mark.parametrize('version', [(3, 9, 1), (3, 14, 0)])
 def test_a_python_without_wheels_is_refused(tool, monkeypatch, version):
     monkeypatch.setattr(tool.sys, 'version_info', version)
     with pytest.raises(tool.SetupError):
@@ -49,14 +49,14 @@ def test_a_missing_compiler_names_its_package(tool, monkeypatch):
     monkeypatch.setattr('setup_checks.shutil.which', lambda _name: None)
     with pytest.raises(tool.SetupError) as caught:
         tool.check_system()
-    for package in ('build-essential', 'make'):
-        assert package in str(caught.value).split()
+    assert {'build-essential', 'make'} <= set(str(caught.value).split())
 
 
-def test_a_path_with_white_space_is_refused(tool, monkeypatch, tmp_path):
-    monkeypatch.setattr('setup_checks.ROOT', tmp_path / 'my clone')
+@pytest.mark.parametrize('folder', ['my clone', 'clone-without-links'])
+def test_sources_that_cannot_be_built_are_refused(tool, monkeypatch, tmp_path, folder):
+    monkeypatch.setattr('setup_checks.ROOT', tmp_path / folder)
     with pytest.raises(tool.SetupError):
-        tool.check_place('')
+        tool.check_place('jazzy')
 
 
 def test_a_processor_without_wheels_is_refused_unless_ros_is_sourced(tool, monkeypatch):
@@ -67,27 +67,21 @@ def test_a_processor_without_wheels_is_refused_unless_ros_is_sourced(tool, monke
 
 
 def test_steps_are_remembered_and_changed_inputs_run_again(tool, tmp_path):
-    steps = tool.Steps(tmp_path / 'record.json')
-    assert not steps.is_done('install', 'a')
-    (tmp_path / 'damaged.json').write_text('{"install": ')
-    assert not tool.Steps(tmp_path / 'damaged.json').is_done('install', 'a')
-    steps.finish('install', 'a')
-    again = tool.Steps(tmp_path / 'record.json')
+    record = tmp_path / 'record.json'
+    record.write_text('{"damaged": ')
+    tool.Steps(record).finish('install', 'a')
+    again = tool.Steps(record)
     assert again.is_done('install', 'a')
     assert not again.is_done('install', 'b')
     again.forget('install')
-    assert not tool.Steps(tmp_path / 'record.json').is_done('install', 'a')
+    assert not tool.Steps(record).is_done('install', 'a')
 
 
-def test_a_full_disk_and_other_failures_are_named(tool, monkeypatch, tmp_path):
+def test_the_failure_of_a_step_is_named_with_its_output(tool, monkeypatch, tmp_path):
     monkeypatch.setattr('setup_steps.ROOT', tmp_path)
     with pytest.raises(tool.SetupError) as caught:
         tool.call(['sh', '-c', 'echo refused; exit 1'], tool.PIP_FAILED)
-    assert tool.PIP_FAILED in str(caught.value)
-    assert 'refused' in str(caught.value)
-    with pytest.raises(tool.SetupError) as caught:
-        tool.call(['sh', '-c', 'echo No space left on device; exit 1'], tool.PIP_FAILED)
-    assert tool.PIP_FAILED not in str(caught.value)
+    assert {tool.PIP_FAILED, 'refused'} <= set(str(caught.value).splitlines())
 
 
 def test_uv_has_index_and_certificates_of_pip_which_installs_where_uv_cannot(
