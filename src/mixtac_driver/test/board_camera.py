@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A checkerboard before a wide-angle camera, ray-cast; shares no code with what is tested."""
+"""A checkerboard before a wide-angle camera, ray-cast."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from mixtac_driver.calibration import Board, View
@@ -48,13 +49,7 @@ def rays(x, y):
 
 
 def rotation(vector):
-    """Rodrigues' formula."""
-    angle = np.linalg.norm(vector)
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = np.asarray(vector) / angle
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+    return cv2.Rodrigues(np.asarray(vector, float))[0]
 
 
 class BoardCamera:
@@ -97,7 +92,7 @@ class BoardCamera:
         value = np.where(paper, np.where(black, 1 - contrast, 1.0), 0.75)
         shape = (HEIGHT, self._n, WIDTH, self._n)
         pixels = value.reshape(shape).mean(axis=(1, 3))
-        pixels = _smooth(pixels, blur)
+        pixels = cv2.GaussianBlur(pixels, (0, 0), blur) if blur else pixels
         y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
         shade = 1 - 0.35 * (((x - 180) / 200) ** 2 + ((y - 120) / 200) ** 2)
         pixels = pixels * shade * light + rng.normal(0, noise, pixels.shape) + 60
@@ -150,21 +145,6 @@ def perfect_views(model, count, seed, noise=0.05, held=None):
         View(board, corners(model, *each) + rng.normal(0, noise, (54, 2)), WIDTH, HEIGHT, str(i))
         for i, each in enumerate(chosen)
     ]
-
-
-def _smooth(pixels, sigma):
-    if sigma <= 0:
-        return pixels
-    reach = int(np.ceil(4 * sigma))
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    weights /= weights.sum()
-    for axis in (0, 1):
-        padded = np.pad(pixels, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], 'edge')
-        pixels = sum(
-            w * np.take(padded, np.arange(i, i + pixels.shape[axis]), axis=axis)
-            for i, w in enumerate(weights)
-        )
-    return pixels
 
 
 def poses(count, seed):

@@ -13,7 +13,6 @@ from davis_fake import FakeBackend, FakeCamera
 from mixtac_core.events.packetizer import PACKET_PERIOD_US
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import (
-    NoCameraError,
     StreamError,
     UnsupportedCameraError,
 )
@@ -45,13 +44,6 @@ def test_open_reads_what_the_camera_is():
     assert not fake.claimed
 
 
-def test_unconfigured_camera_is_configured():
-    fake = FakeCamera()
-    fake.configuration = 0
-    with opened(fake):
-        assert ('configuration', 1) in fake.log
-
-
 @pytest.mark.parametrize(
     ('change', 'value'),
     [
@@ -72,12 +64,6 @@ def test_cameras_of_another_kind_are_refused_and_given_back(change, value):
     assert value in str(error.value)
     assert fake.handles == 0
     assert not fake.claimed
-
-
-def test_no_camera_names_the_virtual_one():
-    with pytest.raises(NoCameraError) as error:
-        Davis346(backend=FakeBackend()).open()
-    assert 'device:=virtual' in error.value.remedy
 
 
 def test_start_and_stop_write_in_the_order_the_camera_knows():
@@ -188,12 +174,3 @@ def test_the_map_of_the_clock_ends_with_the_clock():
         while next(batches).decoded.resets == 1:
             assert camera.clock.ready
         assert not camera.clock.ready
-
-
-def test_restart_after_stop_streams_again():
-    fake = FakeCamera()
-    with opened(fake) as camera:
-        for _ in range(2):
-            camera.start()
-            assert next(iter(camera.batches())).decoded.resets == 1
-            camera.stop()

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.node.files import FileError
 from mixtac_driver.camera_info import (
     MODELS,
     CalibratedCamera,
@@ -164,15 +163,6 @@ def test_damage_anywhere_is_refused_or_harmless(place, junk):
     except CalibrationError:
         return
     assert np.isfinite(camera.camera_matrix).all()
-
-
-def test_writing_makes_folders_and_replaces_files(tmp_path):
-    path = tmp_path / 'a' / 'camera.yaml'
-    write_camera_info(path, calibration(name='first'))
-    write_camera_info(path, calibration(name='second'))
-    assert read_camera_info(path).name == 'second'
-    with pytest.raises(FileError):
-        write_camera_info(path / 'camera.yaml', calibration())
 
 
 def test_urls_name_files(monkeypatch, tmp_path):

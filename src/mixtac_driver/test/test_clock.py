@@ -16,14 +16,6 @@ from mixtac_driver.errors import StreamError
 ASKED = Origin(10**15, 1000)
 
 
-def test_reset_that_arrived_before_it_was_asked_for_is_another():
-    epochs = ClockEpochs(ASKED, 1000)
-    assert epochs.follow(1, 50, ASKED.host_ns - 5000) is None
-    assert epochs.follow(1, 60, ASKED.host_ns + 5000) is None
-    assert epochs.follow(2, 3, ASKED.host_ns + 6000) == ASKED
-    assert epochs.unasked == 0
-
-
 def test_new_stream_begins_after_what_was_published_before():
     epochs = ClockEpochs(ASKED, 1000, latest_us=ASKED.us + 400)
     origin = epochs.follow(1, 3, ASKED.host_ns + 6000)
@@ -76,19 +68,6 @@ def test_a_reset_under_way_before_another_was_asked_for_counts_as_unasked():
     assert epochs.follow(2, 5, later.host_ns - 500_000) != later
     assert epochs.unasked == 1
     assert epochs.follow(3, 5, later.host_ns + 500_000) == later
-
-
-@pytest.mark.parametrize('at_once', [False, True])
-def test_resets_that_were_asked_for_before_the_first_arrived_are_all_known(at_once):
-    epochs = started()
-    first = Origin(ASKED.host_ns + 10**9, 2000)
-    second = Origin(first.host_ns + 400_000, 2000)
-    for each in (first, second):
-        epochs.ask(lambda each=each: each)
-    if not at_once:
-        assert epochs.follow(2, 5, first.host_ns + 500_000) == first
-    assert epochs.follow(3, 5, second.host_ns + 500_000) == second
-    assert epochs.unasked == 0
 
 
 def test_who_sees_the_reset_first_waits_for_its_time():

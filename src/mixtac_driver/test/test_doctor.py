@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
-from types import SimpleNamespace
 
 import pytest
 from davis_fake import FakeBackend, FakeCamera
@@ -31,21 +29,6 @@ def test_what_to_do_first_is_the_first_of_the_worst():
     assert doctor.first_to_do(findings[:2]) is warning
     assert doctor.first_to_do(findings[:1]) is None
     assert doctor.worst([]) is Level.OK
-
-
-@pytest.mark.parametrize(('answer', 'level'), [('yes', Level.OK), ('no', Level.WARN)])
-def test_clock_of_the_computer(monkeypatch, answer, level):
-    run = SimpleNamespace(stdout=f'{answer}\n')
-    monkeypatch.setattr(doctor.subprocess, 'run', lambda *_, **__: run)
-    assert doctor.check_clock().level is level
-
-
-@pytest.mark.parametrize(('free_gb', 'level'), [(50, Level.OK), (9, Level.WARN)])
-def test_disk(tmp_path, monkeypatch, free_gb, level):
-    usage = SimpleNamespace(free=free_gb * 10**9)
-    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage)
-    finding = doctor.check_disk(tmp_path)
-    assert (finding.level, finding.values) == (level, {'free [GB]': free_gb})
 
 
 def plug_in(root, port='2-1', **changes):

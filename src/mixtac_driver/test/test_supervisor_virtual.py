@@ -123,14 +123,6 @@ def test_lesser_faults_do_not_end_the_stream(rig, fault):
     rig.check()
 
 
-def test_a_reset_of_the_clock_does_not_end_the_stream(rig):
-    rig.device.restart_clock()
-    rig.wait_until(lambda: rig.camera.clock_resets == 1)
-    rig.wait_for_stream()
-    assert rig.supervisor.failures == 0
-    rig.check()
-
-
 def test_time_that_garbage_threw_ahead_is_not_published(rig):
     rig.device.feed(np.array([GARBAGE_WRAP], np.uint16))
     rig.wait_until(lambda: rig.supervisor.reconnects)

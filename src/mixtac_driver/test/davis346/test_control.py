@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
-from mixtac_driver.davis346.control import COUNTERS, CameraControl, read_64
+from mixtac_driver.davis346.control import COUNTERS, read_64
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.parameters import DriverParameters
 
@@ -157,17 +157,6 @@ def test_a_frame_is_asked_for_only_where_none_come(camera, fake):
     fake.log.clear()
     camera.control.request_frame()
     assert fake.log == [('many', 2), ('write', 2, 4, 1), ('write', 2, 4, 0)]
-
-
-def test_a_closed_camera_takes_settings_and_no_requests():
-    control = CameraControl(DriverParameters())
-    control.apply(DriverParameters(aps_exposure=5))
-    assert control.set_exposure(6)
-    assert control.parameters.aps_exposure == 6
-    assert control.statistics() == {}
-    for request in (control.request_frame, control.reset_timestamps):
-        with pytest.raises(DriverError):
-            request()
 
 
 def test_counters_are_64_bits_upper_half_first():

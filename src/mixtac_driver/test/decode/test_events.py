@@ -66,22 +66,6 @@ def test_every_word_among_usual_ones(word, geometry):
         )
 
 
-def test_row_outside_the_array_keeps_the_row_before():
-    found = both([0x1002, 0x2001, 0x115A, 0x2002, 0x1FFF, 0x2003], Geometry())
-    assert [e[2:4] for e in found.events] == [(2, 1), (2, 2), (2, 3)]
-
-
-def test_column_outside_the_array_is_dropped():
-    found = both([0x1002, 0x2103, 0x2104, 0x3FFF, 0x3103], Geometry())
-    assert [e[3] for e in found.events] == [259, 259]
-
-
-def test_events_before_the_first_row_are_dropped():
-    found = both([0x8001, *[0x2001] * 40, 0x1000, 0x2001])
-    assert len(found.events) == 1
-    assert found.decoder.counters.words_unexpected == 40
-
-
 def test_arrays_of_other_sizes():
     geometry = Geometry(4096, 4096, False)
     rng = np.random.default_rng(1)

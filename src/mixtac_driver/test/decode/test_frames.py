@@ -48,36 +48,6 @@ def both(words, geometry, **how):
     return found
 
 
-@pytest.mark.parametrize('code', range(8))
-def test_full_frames_in_every_orientation(code):
-    geometry = Geometry(
-        *((260, 346) if code & 4 else (346, 260)),
-        bool(code & 4),
-        *((260, 346) if code & 4 else (346, 260)),
-        bool(code & 4),
-        bool(code & 2),
-        bool(code & 1),
-    )
-    rng = np.random.default_rng(code)
-    columns, rows = geometry.aps_columns, geometry.aps_rows
-    reset = rng.integers(300, 1024, (columns, rows))
-    signal = rng.integers(0, 1024, (columns, rows))
-    words = [8, 0x6001, 0x6002, 0x6003, *region_words(0, 0, 345, 259)]
-    for kind, samples in ((11, reset), (12, signal)):
-        for column in samples:
-            words += [kind, *(0x4000 | column), 13]
-    words += [10]
-    difference = np.clip(reset - signal, 0, 1023)
-    difference[(reset < 384) | (signal == 0)] = 1023
-    image = difference[:, ::-1] if code & 1 else difference
-    image = image[::-1] if code & 2 else image
-    image = image if code & 4 else image.T
-    found = decode(words, geometry, cuts=range(0, 400_000, 8192))
-    assert len(found.frames) == 1
-    assert found.frames[0][4] == 1 | 2 << 10 | 3 << 20
-    np.testing.assert_array_equal(np.array(found.frames[0][5]), image)
-
-
 @pytest.mark.parametrize(
     ('region', 'place', 'size'),
     [
