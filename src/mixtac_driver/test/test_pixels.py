@@ -40,13 +40,6 @@ def test_events_of_masked_pixels_are_dropped_and_counted(masked, seen):
     assert mask.dropped == len(seen) - len(expected)
 
 
-def test_the_camera_takes_the_first_eight():
-    pixels = [(k, k) for k in range(20)]
-    mask = PixelMask([*pixels, (0, 0)], SIZE)
-    assert mask.in_camera == tuple(pixels[:8])
-    assert len(mask.pixels) == 20
-
-
 def test_images_keep_the_mask_and_which_pixels_come_first(tmp_path):
     pixels = [(300 - k, 200 + k) for k in range(20)]
     path = str(tmp_path / 'mask.png')

@@ -100,17 +100,6 @@ def test_time_goes_on_where_the_recorded_clock_was_reset(from_us):
     assert {step.offset_us for step in frames} == {timeline.offset_us}
 
 
-def test_a_frame_waits_for_its_time_unless_that_is_of_another_clock():
-    first, second = some_events(1, 10, 1000), some_events(2, 10, 5000, start_us=START_US + 1000)
-    pieces = [piece(first), frame_at(START_US + 3000), frame_at(2 * START_US), piece(second)]
-    timeline, steps = run(pieces)
-    waited, foreign = (step for step in steps if step.decoded.frames)
-    assert waited.due_us == foreign.due_us == START_US + 3000
-    assert waited.decoded.time_us == START_US + 999
-    assert timeline.out_of_order == 0
-    assert len(joined(steps)) == 20
-
-
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp('source') / 'bag'

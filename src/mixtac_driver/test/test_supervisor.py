@@ -176,24 +176,6 @@ def test_a_source_that_opening_again_cannot_mend_is_not_opened_again(kind):
     assert len(script.opened_s) == 1
 
 
-def test_a_consumer_that_hangs_can_be_seen_and_does_not_keep_stop_from_returning(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 0.1)
-    entered, release = threading.Event(), threading.Event()
-
-    def hang(_batch):
-        entered.set()
-        release.wait(10)
-
-    supervisor = Watch(Script(), on_batch=hang).supervisor
-    assert entered.wait(5)
-    before_s = supervisor.quiet_s
-    assert not supervisor.stop()
-    assert supervisor.quiet_s > before_s
-    release.set()
-    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 5.0)
-    assert supervisor.stop()
-
-
 @pytest.mark.parametrize('moment_s', [0.0, 0.015, 0.1])
 def test_stop_returns_whenever_it_is_called(monkeypatch, moment_s):
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)

@@ -12,7 +12,6 @@ from davis_fake import FakeBackend, FakeCamera
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.control import COUNTERS, read_64
 from mixtac_driver.errors import DriverError, UsbError
@@ -123,14 +122,6 @@ def test_any_path_of_changes_ends_in_the_registers_of_a_fresh_start(changes):
             other.start()
             for address, value in fresh.registers.items():
                 assert changed.registers.get(address, 0) == value, address
-
-
-def test_exposure_alone_is_one_write_and_stays(camera, fake):
-    assert camera.control.set_exposure(1000)
-    assert fake.writes() == [(2, 12, 30240)]
-    assert camera.control.parameters.aps_exposure == 1000
-    with pytest.raises(ParameterError):
-        camera.control.set_exposure(1 << 22)
 
 
 def test_exposure_waits_for_nobody(camera, fake):

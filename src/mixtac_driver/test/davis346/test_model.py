@@ -93,12 +93,6 @@ def test_a_camera_without_frames_is_not_asked_for_any():
     assert fake.registers[2, 4] == 0
 
 
-def test_behind_a_backend_the_chip_decides():
-    fake = FakeCamera(registers={**SIZES, (6, 1): 1})
-    with Davis346(DriverParameters(device='virtual'), backend=OtherBackend(fake)) as opened:
-        assert opened.identity.model.name == 'davis240'
-
-
 def test_a_model_that_was_not_asked_for_is_refused():
     fake = FakeCamera(registers={**SIZES, (6, 1): 2})
     with pytest.raises(UnsupportedCameraError) as error:

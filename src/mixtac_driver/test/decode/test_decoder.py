@@ -68,14 +68,6 @@ def test_a_reset_makes_everything_due():
     ]
 
 
-def test_bursts_beyond_the_capacity_come_in_several_batches():
-    words = [0x1000, *([0x2000] * 100)]
-    decoder = StreamDecoder(Geometry(), capacity=16)
-    sizes = [len(b.events) for b in decoder.push(np.array(words, '<u2'))]
-    assert sum(sizes) == 100
-    assert max(sizes) <= 16
-
-
 def test_floods_of_edges_and_samples_are_all_kept():
     imu = [5, 0x5320, 0x5001, 0x5002, 7]
     found = decode([3] * 1000 + imu * 600)

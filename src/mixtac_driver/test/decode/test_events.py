@@ -66,14 +66,6 @@ def test_every_word_among_usual_ones(word, geometry):
         )
 
 
-def test_arrays_of_other_sizes():
-    geometry = Geometry(4096, 4096, False)
-    rng = np.random.default_rng(1)
-    both(dense(rng, geometry, 1000), geometry, capacity=1000)
-    geometry = Geometry(346, 1024, False)
-    both(dense(rng, geometry, 1000), geometry, capacity=1000)
-
-
 def test_stamp_that_goes_back_keeps_the_time_and_is_counted():
     found = both([0x8010, 0x1001, *[0x2001] * 40, 0x800F, 0x2001, 0x8010, 0x2001, 0x8011, 0x2001])
     assert [e[1] for e in found.events[-4:]] == [16, 16, 16, 17]

@@ -29,7 +29,6 @@ from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.clock import Origin
 from mixtac_driver.node import publishers as edge_publisher
 from mixtac_driver.node.publishers import (
-    ClockPublisher,
     EdgePublisher,
     EventPublisher,
     FramePublisher,
@@ -173,11 +172,3 @@ def test_packets_after_a_pause_begin_where_the_stream_is(node):
     ends = [each.complete_until for each in decoded]
     assert ends == sorted(ends)
     assert meters.packets.total == len(topic.sent)
-
-
-def test_recorded_time_is_published_once_a_millisecond_and_never_back(node):
-    clock = ClockPublisher(node)
-    for offset in (0, 400, 999, 1000, 2500, 2000, 3600):
-        clock.publish(ORIGIN_US + offset)
-    sent = [stamp_to_us(message.clock) - ORIGIN_US for message in node.topics['/clock'].sent]
-    assert sent == [0, 1000, 2500, 3600]
