@@ -50,7 +50,8 @@ class Oracle:
         return self
 
     def word(self, word):
-        self.unexpected += not self.accepts(word)
+        if not self.accepts(word):
+            self.unexpected += 1
 
     def accepts(self, word):
         """Take a word; return whether it is known and belongs where it is."""

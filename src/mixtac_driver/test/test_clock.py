@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -68,27 +66,6 @@ def test_a_reset_under_way_before_another_was_asked_for_counts_as_unasked():
     assert epochs.follow(2, 5, later.host_ns - 500_000) != later
     assert epochs.unasked == 1
     assert epochs.follow(3, 5, later.host_ns + 500_000) == later
-
-
-def test_who_sees_the_reset_first_waits_for_its_time():
-    epochs = started()
-    later = Origin(ASKED.host_ns + 10**9, 2000)
-    asking, origins = threading.Event(), []
-
-    def reset():
-        asking.set()
-        thread.start()
-        # Long enough for the other thread to run into the wait.
-        thread.join(0.2)
-        assert not origins
-        return later
-
-    thread = threading.Thread(
-        target=lambda: origins.append(epochs.follow(2, 5, later.host_ns + 1000))
-    )
-    epochs.ask(reset)
-    thread.join(10)
-    assert origins == [later]
 
 
 def test_data_that_arrive_before_the_request_returned_bound_the_reset():

@@ -36,13 +36,6 @@ def camera(fake):
         yield camera
 
 
-def test_what_did_not_change_is_not_written(camera, fake):
-    camera.apply(DriverParameters())
-    assert fake.writes() == []
-    camera.apply(DriverParameters(aps_exposure=2000, aps_frame_interval=20000))
-    assert fake.writes() == [(2, 12, 60480), (2, 13, 604800)]
-
-
 def test_the_generator_starts_with_its_new_settings_and_stops_before_they_change(camera, fake):
     camera.apply(DriverParameters(generator_enabled=True, generator_interval=100))
     assert fake.writes() == [(4, 13, 12096), (4, 11, 1)]

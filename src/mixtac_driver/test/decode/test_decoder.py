@@ -68,13 +68,6 @@ def test_a_reset_makes_everything_due():
     ]
 
 
-def test_floods_of_edges_and_samples_are_all_kept():
-    imu = [5, 0x5320, 0x5001, 0x5002, 7]
-    found = decode([3] * 1000 + imu * 600)
-    assert len(found.edges) == 1000
-    assert len(found.samples) == 600
-
-
 def test_odd_byte_waits_for_its_half_after_a_full_transfer_and_goes_after_a_short_one():
     data = np.array([0x1005, 0x2007], '<u2').tobytes()
     decoder = StreamDecoder(Geometry())

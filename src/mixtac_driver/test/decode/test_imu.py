@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from davis_oracle import Oracle
 from decoder_cases import assert_same, decode
 
@@ -34,13 +33,6 @@ def test_every_set_of_groups_and_scales_with_any_number_of_bytes():
             found = both([0x8009, *sample(info, payload)])
             # A byte too many is refused, and the sample before it is whole.
             assert len(found.samples) == (size(info) > 0 and extra >= 0)
-
-
-@pytest.mark.parametrize('again', [5, 7])
-def test_start_or_end_twice(again):
-    words = sample(0xE0, range(14))
-    for k in range(len(words) + 1):
-        both([*words[:k], again, *words[k:], *words])
 
 
 def test_lost_byte_drops_the_sample_and_not_the_next():
