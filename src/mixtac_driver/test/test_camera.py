@@ -12,10 +12,7 @@ from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_core.events.packetizer import PACKET_PERIOD_US
 from mixtac_driver.camera import Davis346
-from mixtac_driver.errors import (
-    StreamError,
-    UnsupportedCameraError,
-)
+from mixtac_driver.errors import StreamError, UnsupportedCameraError
 from mixtac_driver.parameters import DriverParameters
 
 QUICK = DriverParameters(stream_timeout=0.3)
@@ -47,14 +44,12 @@ def test_open_reads_what_the_camera_is():
 @pytest.mark.parametrize(
     ('change', 'value'),
     [
-        ({'registers': {(6, 0): 17}}, 'logic 17.1'),
         ({'registers': {(6, 0): 19}}, 'logic 19.1'),
         ({'registers': {(6, 7): 0}}, 'logic 18.0'),
         ({'registers': {(6, 1): 77}}, 'chip 77'),
         ({'registers': {(2, 0): 1000}}, '1000 x 346'),
         ({'bcd_device': 0x0005}, 'firmware 0.5'),
         ({'bcd_device': 0x0100}, 'firmware 1.0'),
-        ({'bcd_device': 0x0206}, 'firmware 2.6'),
     ],
 )
 def test_cameras_of_another_kind_are_refused_and_given_back(change, value):

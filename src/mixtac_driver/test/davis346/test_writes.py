@@ -78,12 +78,8 @@ def test_registers_that_the_logic_lacks_are_not_written(identity):
     ('change', 'kind', 'value'),
     [
         ({'aps_exposure': 1 << 22}, ParameterError, '4194304'),
-        ({'aps_frame_interval': -1}, ParameterError, '-1'),
         ({'roi_start_col': 5, 'roi_end_col': 4}, ConfigurationError, '5 .. 4'),
-        ({'aps_roi_end_col': 346}, ParameterError, '346'),
         ({'ApsCas_voltage': 99}, ParameterError, '99'),
-        ({'external_input_pulse_length': 1 << 20}, ParameterError, '1048576'),
-        ({'generator_length': 10}, ConfigurationError, 'generator_interval = 10'),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(identity, change, kind, value):
