@@ -25,7 +25,6 @@ import sys
 import tempfile
 import threading
 import time
-import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -107,7 +106,8 @@ class ForkServer:
         self._channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with other:
             self._process = subprocess.Popen(
-                [sys.executable, __file__, str(other.fileno())],
+                # Python 3.12 warns of LTTng's threads.
+                [sys.executable, '-W', 'ignore::DeprecationWarning', __file__, str(other.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=[other.fileno()],
@@ -146,7 +146,7 @@ def load(module: str) -> None:
         for name in WARM_UPS:
             if name in sys.modules:
                 sys.modules[name].warm_up()
-    # The module itself is run anew, as `__main__`.
+    # The module itself is imported anew by each node.
     sys.modules.pop(module, None)
     # A collection in a forked process would copy every object.
     gc.collect()
@@ -199,10 +199,7 @@ def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
             if module not in loaded:
                 load(module)
                 loaded.add(module)
-            with warnings.catch_warnings():
-                # Python 3.12 warns of LTTng's threads.
-                warnings.simplefilter('ignore', DeprecationWarning)
-                answer = os.fork()
+            answer = os.fork()
             if answer == 0:
                 return request, descriptors
             running.add(answer)

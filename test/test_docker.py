@@ -61,15 +61,8 @@ def test_services_share_an_image_and_have_a_profile_each():
         assert not service.get('privileged')
         known = set(re.findall(r'^ARG (\w+)', DOCKERFILES[0].read_text(), re.MULTILINE))
         assert set(service['build']['args']) <= known
-
-
-def test_commands_of_the_services_exist():
-    for name, service in COMPOSE['services'].items():
         command = service['command']
-        if command[0] == 'ros2':
-            assert (ROOT / 'launch' / command[3]).exists(), name
-        else:
-            assert command == ['mixtac', 'view']
+        assert command == ['mixtac', 'view'] or (ROOT / 'launch' / command[3]).exists()
 
 
 def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does():

@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -92,59 +91,35 @@ def test_the_makefile_has_it(text):
         assert '=' in word or word in targets
 
 
-def check_launch(launch_arguments, words: list[str]) -> None:
-    package, file, *arguments = words
-    if not package.startswith('mixtac'):
-        return
-    assert package == 'mixtac_bringup'
-    known = launch_arguments(ROOT / 'launch' / file)
-    for argument in arguments:
-        name, found, _ = argument.partition(':=')
-        assert name in known if found else argument in {'-s', '--show-args'}
-
-
-def check_run(words: list[str]) -> None:
-    package, executable, *_ = words
-    if not package.startswith('mixtac'):
-        return
-    text = (ROOT / 'src' / package / 'setup.py').read_text()
-    assert f"'{executable} = " in text
-
-
-def check_topic(words: list[str]) -> None:
-    verb, *rest = words
-    if verb == 'pub':
-        name, kind = [each for each in rest if '/' in each][:2]
+def check_ros2(verb: str, words: list[str], launch_arguments) -> None:
+    """Find the launch file, executable, topic, service or parameter that a command names."""
+    if verb in {'launch', 'run'} and words[0].startswith('mixtac'):
+        package, name, *arguments = words
+        if verb == 'run':
+            assert f"'{name} = " in (ROOT / 'src' / package / 'setup.py').read_text()
+        else:
+            given = {each.partition(':=')[0] for each in arguments}
+            assert given <= {*launch_arguments(ROOT / 'launch' / name), '-s', '--show-args'}
+    elif verb == 'topic' and words[0] == 'pub':
+        name, kind = [each for each in words if '/' in each][:2]
         assert SUBSCRIBED[name] == kind
-        return
-    topics = [each for each in rest if each.startswith('/')]
-    assert all(each in TOPIC_NAMES or each.startswith(OF_THE_ARM) for each in topics)
-
-
-def check_service(words: list[str]) -> None:
-    _, name, kind, *_ = words
-    assert SERVICE_TYPES.get(name) == kind
-
-
-def check_param(words: list[str]) -> None:
-    _, node, name, *_ = words
-    file = ROOT / 'config' / f'{node.rpartition("/")[2]}.yaml'
-    (parameters,) = yaml.safe_load(file.read_text()).values()
-    assert name in parameters['ros__parameters']
+    elif verb == 'topic':
+        topics = [each for each in words if each.startswith('/')]
+        assert all(each in TOPIC_NAMES or each.startswith(OF_THE_ARM) for each in topics)
+    elif verb == 'service':
+        assert SERVICE_TYPES.get(words[1]) == words[2]
+    elif verb == 'param':
+        _, node, name, *_ = words
+        (parameters,) = yaml.safe_load(
+            (ROOT / 'config' / f'{node.rpartition("/")[2]}.yaml').read_text()
+        ).values()
+        assert name in parameters['ros__parameters']
 
 
 @pytest.mark.parametrize('text', of('ros2'))
 def test_ros2_finds_what_it_is_asked_for(text, launch_arguments):
-    _, verb, *rest = words_of(text)
-    checks = {
-        'launch': partial(check_launch, launch_arguments),
-        'run': check_run,
-        'topic': check_topic,
-        'service': check_service,
-        'param': check_param,
-    }
-    if verb in checks:
-        checks[verb](rest)
+    _, verb, *words = words_of(text)
+    check_ros2(verb, words, launch_arguments)
 
 
 @pytest.mark.parametrize('text', of('cp', 'sudo', 'source', '.', 'docker'))

@@ -17,36 +17,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 TOPICS = ROOT / 'src' / 'mixtac_core' / 'mixtac_core' / 'node' / 'topics.py'
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
-KEYS = {
-    'cv2': 'python3-opencv',
-    'hypothesis': 'python3-hypothesis',
-    'joblib': 'python3-joblib',
-    'matplotlib': 'python3-matplotlib',
-    'numba': 'python3-numba',
-    'numpy': 'python3-numpy',
-    'psutil': 'python3-psutil',
-    'pytest': 'python3-pytest',
-    'rich': 'python3-rich',
-    'rosbags': 'python3-rosbags-pip',
-    'scipy': 'python3-scipy',
-    'torch': 'python3-torch',
-    'typer': 'python3-typer',
-    'usb': 'python3-usb',
-    'yaml': 'python3-yaml',
-}
+NAMED_AS_IN_PYTHON = (
+    'hypothesis', 'joblib', 'matplotlib', 'numba', 'numpy', 'psutil', 'pytest', 'rich', 'scipy',
+    'torch', 'typer', 'usb', 'yaml',
+)  # fmt: skip
+KEYS = {name: f'python3-{name}' for name in NAMED_AS_IN_PYTHON}
+KEYS |= {'cv2': 'python3-opencv', 'rosbags': 'python3-rosbags-pip'}
 """rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
 WITHOUT_KEY = {
-    'dv_processing',
-    'h5py',
-    'libusb_package',
-    'mcap',
-    'rerun',
-    'rerun_cli',
-    'ruckig',
-    'safetensors',
-    'threadpoolctl',
-    'zstandard',
-}
+    'dv_processing', 'h5py', 'libusb_package', 'mcap', 'rerun', 'rerun_cli', 'ruckig',
+    'safetensors', 'threadpoolctl', 'zstandard',
+}  # fmt: skip
 """Modules without a key, which pip installs."""
 OPTIONAL = {'hdf5plugin', 'llvmlite'}
 """Used where present (hdf5plugin), or a part of another (numba)."""
@@ -71,18 +52,13 @@ def imports(modules: Iterable[Path]) -> set[str]:
 
 @cache
 def imports_of(path: Path) -> set[str]:
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    text = path.read_text()
+    found = set(re.findall(r"import_module\('(\w+)", text))
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             found |= {alias.name.partition('.')[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found.add(node.module.partition('.')[0])
-        elif isinstance(node, ast.Call) and getattr(node.func, 'attr', '') == 'import_module':
-            found |= {
-                str(each.value).partition('.')[0]
-                for each in node.args
-                if isinstance(each, ast.Constant)
-            }
     return found
 
 
