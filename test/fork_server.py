@@ -25,7 +25,6 @@ import sys
 import tempfile
 import threading
 import time
-import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,31 +39,20 @@ class NodeProcess:
 
     Args:
         server: The server that forks it.
-        module: Module that is run, for example `mixtac_fger.fger_node`.
+        module: Module of the node, for example `mixtac_fger.fger_node`.
         arguments: Its command line.
-        function: Function of the module that is run.
 
     Attributes:
         pid: Process id.
         returncode: Exit status, or minus the signal that ended it; None while it runs.
     """
 
-    def __init__(
-        self, server: ForkServer, module: str, *arguments: str, function: str = 'main'
-    ) -> None:
+    def __init__(self, server: ForkServer, module: str, *arguments: str) -> None:
         self._server = server
         self._outputs = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115
         self.returncode: int | None = None
-        self.pid: int = server.ask(
-            {
-                'module': module,
-                'function': function,
-                'arguments': arguments,
-                'folder': str(Path.cwd()),
-                'environment': dict(os.environ),
-            },
-            [each.fileno() for each in self._outputs],
-        )
+        node = {'argv': [module, *arguments], 'cwd': str(Path.cwd()), 'env': dict(os.environ)}
+        self.pid: int = server.ask(node, [each.fileno() for each in self._outputs])
 
     @property
     def stdout(self) -> str:
@@ -83,10 +71,7 @@ class NodeProcess:
         return self.returncode
 
     def wait(self, timeout: float) -> int:
-        """Wait until it ends; return its exit status.
-
-        Args:
-            timeout: Longest time to wait [s].
+        """Wait until it ends, at most this long [s]; return its exit status.
 
         Raises:
             subprocess.TimeoutExpired: It still runs.
@@ -121,7 +106,8 @@ class ForkServer:
         self._channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with other:
             self._process = subprocess.Popen(
-                [sys.executable, __file__, str(other.fileno())],
+                # Python 3.12 warns of LTTng's threads.
+                [sys.executable, '-W', 'ignore::DeprecationWarning', __file__, str(other.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=[other.fileno()],
@@ -142,10 +128,6 @@ class ForkServer:
                 if found == number:
                     return value
 
-    def load(self, module: str) -> None:
-        """Import what nodes would import later on, for all that are started from now on."""
-        self.ask({'load': module})
-
     def close(self) -> None:
         """End the server, which ends the nodes that still run."""
         self._channel.close()
@@ -157,13 +139,15 @@ def _text(descriptor: int) -> str:
 
 
 def load(module: str) -> None:
-    """Import a module and load compiled code."""
+    """Import what a module imports, and load compiled code."""
     # Where that fails, the node says why.
     with contextlib.suppress(Exception):
         importlib.import_module(module)
         for name in WARM_UPS:
             if name in sys.modules:
                 sys.modules[name].warm_up()
+    # The module itself is imported anew by each node.
+    sys.modules.pop(module, None)
     # A collection in a forked process would copy every object.
     gc.collect()
     gc.freeze()
@@ -206,22 +190,16 @@ def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
                 os.kill(pid, signal.SIGTERM)
             return None
         number, request = json.loads(message)
-        if 'load' in request:
-            answer = load(request['load'])
-        elif 'wait for' in request:
+        if 'wait for' in request:
             pid, status = os.waitpid(request['wait for'], os.WNOHANG)
             running.discard(pid)
             answer = os.waitstatus_to_exitcode(status) if pid else None
         else:
-            if request['module'] not in loaded:
-                load(request['module'])
-                # What it imports stays; it is run itself, as `__main__`.
-                sys.modules.pop(request['module'], None)
-                loaded.add(request['module'])
-            with warnings.catch_warnings():
-                # Python 3.12 warns of LTTng's threads.
-                warnings.simplefilter('ignore', DeprecationWarning)
-                answer = os.fork()
+            module = request['argv'][0]
+            if module not in loaded:
+                load(module)
+                loaded.add(module)
+            answer = os.fork()
             if answer == 0:
                 return request, descriptors
             running.add(answer)
@@ -243,14 +221,14 @@ def main() -> None:
     for standard, descriptor in enumerate(descriptors, 1):
         os.dup2(descriptor, standard)
         os.close(descriptor)
-    os.chdir(request['folder'])
+    os.chdir(request['cwd'])
     os.environ.clear()
-    os.environ.update(request['environment'])
+    os.environ.update(request['env'])
     added = [each for each in os.environ.get('PYTHONPATH', '').split(os.pathsep) if each]
-    sys.path[:1] = [request['folder'], *added]
-    sys.argv = [request['module'], *request['arguments']]
+    sys.path[:1] = [request['cwd'], *added]
+    sys.argv = request['argv']
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    sys.exit(getattr(importlib.import_module(request['module']), request['function'])())
+    sys.exit(importlib.import_module(sys.argv[0]).main())
 
 
 if __name__ == '__main__':

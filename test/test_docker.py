@@ -1,16 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The structure of the images: pinned, multi-stage, non-root, made of files that exist.
-
-Beside it, the unit of systemd.
-"""
+"""The images are pinned, multi-stage, non-root, of files that exist; the unit of systemd."""
 
 from __future__ import annotations
 
 import configparser
-import os
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -31,77 +26,43 @@ def instructions(path: Path) -> list[tuple[str, str]]:
     ]
 
 
-def stages(path: Path) -> list[list[tuple[str, str]]]:
-    found: list[list[tuple[str, str]]] = []
-    for instruction in instructions(path):
-        if instruction[0] == 'FROM':
-            found.append([])
-        if found:
-            found[-1].append(instruction)
-    return found
-
-
-def in_context(name: str) -> bool:
-    """Return whether .dockerignore lets a top-level file or folder into the build."""
-    return f'!{name}' in (ROOT / '.dockerignore').read_text().splitlines()
-
-
 @pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
 def test_images_are_pinned_multi_stage_and_not_root(path):
     defaults = dict(re.findall(r'^ARG (\w+)=(\S+)', path.read_text(), re.MULTILINE))
-    first, *_, last = stages(path)
-    assert first is not last
-    for stage in stages(path):
-        image = re.sub(r'\$\{(\w+)\}', lambda m: defaults[m[1]], stage[0][1].split()[0])
-        tag = image.partition(':')[2]
-        assert tag
-        assert tag != 'latest'
-    users = [text for name, text in last if name == 'USER']
-    assert users
-    assert users[-1] not in {'root', '0'}
-    assert 'HEALTHCHECK' in dict(last)
+    bases = [text.split()[0] for name, text in instructions(path) if name == 'FROM']
+    assert len(bases) > 1
+    for base in bases:
+        image = re.sub(r'\$\{(\w+)\}', lambda m: defaults[m[1]], base)
+        assert image.partition(':')[2] not in {'', 'latest'}
+    last = dict(instructions(path))
+    assert last['USER'] not in {'root', '0'}
     # `ros2 launch` leaves its nodes running on SIGTERM.
-    assert dict(last)['STOPSIGNAL'] == 'SIGINT'
-    for form in ('ENTRYPOINT', 'CMD'):
-        assert dict(last)[form].startswith('[')
+    assert last['STOPSIGNAL'] == 'SIGINT'
+    assert last['ENTRYPOINT'].startswith('[')
 
 
 @pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
 def test_what_is_copied_is_there_and_in_the_context(path):
+    context = (ROOT / '.dockerignore').read_text().splitlines()
     for name, text in instructions(path):
-        if name != 'COPY' or '--from' in text:
-            continue
-        *sources, _ = [word for word in text.split() if not word.startswith('--')]
-        for source in sources:
-            assert (ROOT / source).exists(), source
-            assert in_context(source.split('/')[0]), source
-
-
-def test_scripts_can_be_run_and_parse():
-    for path in (ROOT / 'docker').glob('*.sh'):
-        assert os.access(path, os.X_OK)
-        subprocess.run(['bash', '-n', str(path)], check=True)
+        if name == 'COPY' and '--from' not in text:
+            *sources, _ = [word for word in text.split() if not word.startswith('--')]
+            for source in sources:
+                assert (ROOT / source).exists(), source
+                assert f'!{source.split("/")[0]}' in context, source
 
 
 def test_services_share_an_image_and_have_a_profile_each():
     assert set(COMPOSE['services']) == {'sensor', 'sensor-cuda', 'virtual', 'view'}
     for service in COMPOSE['services'].values():
         assert service['profiles']
-        assert (ROOT / 'docker' / service['build']['context'] / 'README.md').resolve().exists()
         assert (ROOT / service['build']['dockerfile']).exists()
         assert service['cap_drop'] == ['ALL']
         assert not service.get('privileged')
         known = set(re.findall(r'^ARG (\w+)', DOCKERFILES[0].read_text(), re.MULTILINE))
         assert set(service['build']['args']) <= known
-
-
-def test_commands_of_the_services_exist():
-    for name, service in COMPOSE['services'].items():
         command = service['command']
-        if command[0] == 'ros2':
-            assert (ROOT / 'launch' / command[3]).exists(), name
-        else:
-            assert command == ['mixtac', 'view']
+        assert command == ['mixtac', 'view'] or (ROOT / 'launch' / command[3]).exists()
 
 
 def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does():

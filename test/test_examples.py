@@ -20,13 +20,8 @@ EXAMPLES = Path(__file__).resolve().parents[1] / 'examples'
 
 def run(folder: Path, *words: str) -> str:
     """Run Python in a folder without a screen; return what it prints."""
-    environment = {**os.environ, 'MPLBACKEND': 'Agg'}
-    command = [sys.executable, *words]
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    environment, command = {**os.environ, 'MPLBACKEND': 'Agg'}, [sys.executable, *words]
+    return subprocess.check_output(command, cwd=folder, env=environment, text=True)
 
 
 @pytest.fixture(scope='module')

@@ -33,12 +33,8 @@ def options_of(command) -> set[str]:
     return found
 
 
-def test_every_command_is_there(commands):
-    assert set(INTERFACE['commands']) <= set(commands)
-
-
 @pytest.mark.parametrize('name', INTERFACE['commands'])
-def test_every_option_of_a_command_is_there(commands, name):
+def test_every_command_is_there_with_its_options(commands, name):
     assert set(INTERFACE['commands'][name]) <= options_of(commands[name])
 
 
@@ -81,16 +77,8 @@ def test_every_launch_argument_is_there(launch_arguments, file):
     assert wanted <= set(launch_arguments(ROOT / 'launch' / file))
 
 
-@pytest.mark.parametrize('path', ROOT.glob('src/*/setup.py'), ids=lambda path: path.parent.name)
-def test_every_entry_point_can_be_loaded(path):
-    for module, name in re.findall(r"'[\w.:-]+ = ([\w.]+):(\w+)'", path.read_text()):
+def test_every_executable_is_there_and_every_entry_point_can_be_loaded():
+    text = ''.join(path.read_text() for path in ROOT.glob('src/*/setup.py'))
+    assert set(INTERFACE['executables']) <= set(re.findall(r"'(\w+) = [\w.]+:main'", text))
+    for module, name in re.findall(r"'[\w.:-]+ = ([\w.]+):(\w+)'", text):
         assert hasattr(importlib.import_module(module), name), f'{module}:{name}'
-
-
-def test_every_executable_is_there():
-    found = {
-        name
-        for path in ROOT.glob('src/*/setup.py')
-        for name in re.findall(r"'(\w+) = [\w.]+:main'", path.read_text())
-    }
-    assert set(INTERFACE['executables']) <= found

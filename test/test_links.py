@@ -21,7 +21,6 @@ TOOL = runpy.run_path(str(Path(__file__).resolve().parents[1] / 'tools' / 'check
         ('[elsewhere](https://example.org/x#y)', False),
         ('```\n[code](missing.md)\n```', False),
         ('[here](missing.md)', True),
-        ('![here](missing.png)', True),
         ('[here](other.md#no-heading)', True),
         ('[here](#no-heading)', True),
     ],

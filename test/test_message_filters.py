@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,27 +25,15 @@ def load(path):
 OURS = load(PATH)
 
 
-def released():
-    pytest.importorskip('rclpy', reason='needs ROS 2')
-    filters = pytest.importorskip('message_filters')
-    if not hasattr(filters, 'Cache'):
-        pytest.skip('the released message_filters is not installed')
-    return filters
+pytest.importorskip('builtin_interfaces.msg', reason='needs ROS 2')
 
 
-@dataclass(frozen=True)
-class Message:
-    """A message with a stamp; `number` tells it from others of the same stamp."""
+def message(number, stamp_ns):
+    """Return a message with a stamp; its number distinguishes it from others of this stamp."""
+    from builtin_interfaces.msg import Time
 
-    stamp_ns: int
-    number: int
-
-    @property
-    def header(self):
-        from builtin_interfaces.msg import Time
-
-        sec, nanosec = divmod(self.stamp_ns, 1_000_000_000)
-        return SimpleNamespace(stamp=Time(sec=sec, nanosec=nanosec))
+    stamp = Time(sec=0, nanosec=stamp_ns)
+    return SimpleNamespace(number=number, stamp_ns=stamp_ns, header=SimpleNamespace(stamp=stamp))
 
 
 def outputs(filters, make, arrivals, inputs):
@@ -54,7 +41,7 @@ def outputs(filters, make, arrivals, inputs):
     synchroniser, got = make(filters, sources), []
     synchroniser.registerCallback(lambda *messages: got.append(messages))
     for number, (source, stamp) in enumerate(arrivals):
-        sources[source].signalMessage(Message(stamp, number))
+        sources[source].signalMessage(message(number, stamp))
     return got
 
 
@@ -66,19 +53,10 @@ def near(filters, sources):
     return filters.ApproximateTimeSynchronizer(sources, 4, 3e-9)
 
 
-pytest.importorskip('builtin_interfaces.msg', reason='needs ROS 2')
-
-
 def test_sets_of_one_stamp_come_in_any_order_and_lost_partners_are_left_out():
     arrivals = [(0, 1), (1, 2), (1, 1), (0, 3), (0, 2), (1, 4), (1, 3)]
     got = outputs(OURS, exact, arrivals, 2)
     assert [(a.stamp_ns, b.stamp_ns) for a, b in got] == [(1, 1), (2, 2), (3, 3)]
-
-
-def test_the_oldest_leave_a_full_queue():
-    arrivals = [(0, stamp) for stamp in range(1, 7)] + [(1, stamp) for stamp in range(1, 7)]
-    got = outputs(OURS, exact, arrivals, 2)
-    assert [a.stamp_ns for a, _ in got] == [3, 4, 5, 6]
 
 
 def test_the_nearest_within_the_slop_is_taken_once():
@@ -98,4 +76,8 @@ def test_the_nearest_within_the_slop_is_taken_once():
 )
 def test_outputs_equal_those_of_the_released_package(case, make):
     inputs, arrivals = case
-    assert outputs(OURS, make, arrivals, inputs) == outputs(released(), make, arrivals, inputs)
+    released = pytest.importorskip('message_filters')
+    if not hasattr(released, 'Cache'):
+        pytest.skip('the released message_filters is not installed')
+    ours, theirs = (outputs(each, make, arrivals, inputs) for each in (OURS, released))
+    assert ours == theirs

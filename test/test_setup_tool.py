@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import sys
 from pathlib import Path
 
@@ -25,20 +24,17 @@ def tool(monkeypatch):
 
 
 def test_a_sourced_installation_is_used_unless_it_is_old(tool, monkeypatch):
-    monkeypatch.delenv('ROS_DISTRO', raising=False)
-    assert tool.full_ros() == ''
     monkeypatch.setenv('ROS_DISTRO', 'jazzy')
     for path, used in (('/opt/ros/jazzy', 'jazzy'), (str(ROOT / '.venv'), '')):
         monkeypatch.setenv('AMENT_PREFIX_PATH', path)
         assert tool.full_ros() == used
-    monkeypatch.setenv('ROS_DISTRO', 'foxy')
     monkeypatch.setenv('AMENT_PREFIX_PATH', '/opt/ros/foxy')
-    with pytest.raises(tool.SetupError) as caught:
+    monkeypatch.setenv('ROS_DISTRO', 'foxy')
+    with pytest.raises(tool.SetupError, match='foxy'):
         tool.full_ros()
-    assert 'foxy' in str(caught.value)
 
 
-@pytest.mark.parametrize('version', [(3, 9, 1), (3, 14, 0), (2, 7, 18)])
+@pytest.mark.parametrize('version', [(3, 9, 1), (3, 14, 0)])
 def test_a_python_without_wheels_is_refused(tool, monkeypatch, version):
     monkeypatch.setattr(tool.sys, 'version_info', version)
     with pytest.raises(tool.SetupError):
@@ -49,14 +45,14 @@ def test_a_missing_compiler_names_its_package(tool, monkeypatch):
     monkeypatch.setattr('setup_checks.shutil.which', lambda _name: None)
     with pytest.raises(tool.SetupError) as caught:
         tool.check_system()
-    for package in ('build-essential', 'make'):
-        assert package in str(caught.value).split()
+    assert {'build-essential', 'make'} <= set(str(caught.value).split())
 
 
-def test_a_path_with_white_space_is_refused(tool, monkeypatch, tmp_path):
-    monkeypatch.setattr('setup_checks.ROOT', tmp_path / 'my clone')
+@pytest.mark.parametrize('folder', ['my clone', 'clone-without-links'])
+def test_sources_that_cannot_be_built_are_refused(tool, monkeypatch, tmp_path, folder):
+    monkeypatch.setattr('setup_checks.ROOT', tmp_path / folder)
     with pytest.raises(tool.SetupError):
-        tool.check_place('')
+        tool.check_place('jazzy')
 
 
 def test_a_processor_without_wheels_is_refused_unless_ros_is_sourced(tool, monkeypatch):
@@ -67,50 +63,37 @@ def test_a_processor_without_wheels_is_refused_unless_ros_is_sourced(tool, monke
 
 
 def test_steps_are_remembered_and_changed_inputs_run_again(tool, tmp_path):
-    steps = tool.Steps(tmp_path / 'record.json')
-    assert not steps.is_done('install', 'a')
-    (tmp_path / 'damaged.json').write_text('{"install": ')
-    assert not tool.Steps(tmp_path / 'damaged.json').is_done('install', 'a')
-    steps.finish('install', 'a')
-    again = tool.Steps(tmp_path / 'record.json')
+    record = tmp_path / 'record.json'
+    record.write_text('{"damaged": ')
+    tool.Steps(record).finish('install', 'a')
+    again = tool.Steps(record)
     assert again.is_done('install', 'a')
     assert not again.is_done('install', 'b')
     again.forget('install')
-    assert not tool.Steps(tmp_path / 'record.json').is_done('install', 'a')
+    assert not tool.Steps(record).is_done('install', 'a')
 
 
-def test_a_full_disk_and_other_failures_are_named(tool, monkeypatch, tmp_path):
+def test_the_failure_of_a_step_is_named_with_its_output(tool, monkeypatch, tmp_path):
     monkeypatch.setattr('setup_steps.ROOT', tmp_path)
     with pytest.raises(tool.SetupError) as caught:
         tool.call(['sh', '-c', 'echo refused; exit 1'], tool.PIP_FAILED)
-    assert tool.PIP_FAILED in str(caught.value)
-    assert 'refused' in str(caught.value)
-    with pytest.raises(tool.SetupError) as caught:
-        tool.call(['sh', '-c', 'echo No space left on device; exit 1'], tool.PIP_FAILED)
-    assert tool.PIP_FAILED not in str(caught.value)
+    assert {tool.PIP_FAILED, 'refused'} <= set(str(caught.value).splitlines())
 
 
-def test_uv_has_index_and_certificates_of_pip_which_installs_where_uv_cannot(
-    tool, monkeypatch, tmp_path
-):
-    calls, told = [], {}
+def test_uv_has_the_index_of_pip_which_installs_where_uv_cannot(tool, monkeypatch):
+    calls, given = [], {}
 
     def call(command, _failure, env=None):
         calls.append(command)
         if command[0].endswith('uv'):
-            told.update(env)
+            given.update(env)
             raise tool.SetupError('no such registry')
 
     monkeypatch.setattr(tool, 'call', call)
-    monkeypatch.delenv('SSL_CERT_FILE', raising=False)
-    monkeypatch.setenv('PIP_CERT', "/it's/there.pem")
     monkeypatch.setenv('PIP_INDEX_URL', 'https://mirror.example/simple?a=b')
-    venv = Path(sys.prefix)
-    tool.install_packages(venv, ['numpy'])
-    assert told['SSL_CERT_FILE'] == "/it's/there.pem"
-    assert told['UV_DEFAULT_INDEX'] == 'https://mirror.example/simple?a=b'
-    assert told['PATH'] == os.environ['PATH']
-    assert calls[-1][:-2] == [*tool.pip_install(venv), 'numpy']
+    tool.install_packages(Path(sys.prefix), ['numpy'])
+    assert given['UV_DEFAULT_INDEX'] == 'https://mirror.example/simple?a=b'
+    assert calls[-1][:-2] == [*tool.pip_install(Path(sys.prefix)), 'numpy']
 
 
 def test_robots_get_what_nodes_need_and_optional_parts_are_added(tool):
@@ -122,10 +105,9 @@ def test_robots_get_what_nodes_need_and_optional_parts_are_added(tool):
 
 def test_an_installation_that_was_interrupted_is_made_anew(tool, monkeypatch, tmp_path):
     monkeypatch.setattr(tool, 'ROOT', tmp_path)
-    for name in ('check_place', 'check_system', 'build_messages', 'compile_kernels'):
-        monkeypatch.setattr(tool, name, lambda *_, **__: None)
+    for name in ('check_place', 'check_system', 'build_messages', 'compile_kernels', 'fingerprint'):
+        monkeypatch.setattr(tool, name, lambda *_, **__: '')
     monkeypatch.setattr(tool, 'full_ros', lambda: '')
-    monkeypatch.setattr(tool, 'fingerprint', lambda *_: 'same')
     monkeypatch.setattr(tool, 'requirements', lambda *_, **__: [])
     monkeypatch.setattr(tool, 'make_venv', lambda venv, **_: venv.mkdir())
 

@@ -16,6 +16,8 @@ from setup_steps import ROOT, SetupError
 
 SUPPORTED_PYTHON = ((3, 10), (3, 13))
 SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
+LINKS = ('src/mixtac_bringup/config', 'src/mixtac_bringup/launch', 'src/mixtac_fger/models')
+"""Symbolic links of the sources."""
 
 
 def full_ros() -> str:
@@ -90,6 +92,12 @@ def check_place(distro: str) -> None:
             f'the path {str(ROOT)!r} contains white space, which the build of ROS packages cannot '
             'handle: move the clone to a path without.'
         )
+    for link in LINKS:
+        if not (ROOT / link).is_dir():
+            raise SetupError(
+                f'{link} is no folder: the copy of the sources has lost its symbolic links, as zip '
+                'files on Windows do. Clone them with git.'
+            )
     machine = platform.machine()
     if not distro and machine != 'x86_64':
         raise SetupError(

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installs mixtac_bringup with the launch and parameter files of the repository's top level."""
 
+import sys
 from pathlib import Path
 
 from setuptools import setup
 
 PACKAGE = 'mixtac_bringup'
+if not Path('config').is_dir():
+    sys.exit('src/mixtac_bringup/config is no folder: the symbolic links are lost; clone with git')
 
 
 def config_files() -> list[tuple[str, list[str]]]:
@@ -29,6 +32,7 @@ setup(
         *config_files(),
     ],
     install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
     zip_safe=True,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installs mixtac_fger."""
 
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'mixtac_fger'
+if not Path('models').is_dir():
+    sys.exit('src/mixtac_fger/models is no folder: the symbolic links are lost; clone with git')
 
 setup(
     name=PACKAGE,
@@ -19,6 +22,7 @@ setup(
         (f'share/{PACKAGE}/models', sorted(map(str, Path('models').glob('*.*')))),
     ],
     install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',

@@ -16,6 +16,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
     ],
     install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
     zip_safe=True,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',

@@ -113,7 +113,7 @@ def write_bundle(path: Path, report: dict[str, Any], p: DriverParameters, raw: R
     ):
         for name, text in texts.items():
             archive.writestr(name, text if home == '/' else text.replace(home, '~'))
-        archive.writestr('words.bin', raw.words.getvalue())
+        archive.writestr('words.bin', bytes(raw.words))
 
 
 def _row(section: str, finding: Finding) -> dict[str, object]:

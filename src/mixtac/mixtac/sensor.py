@@ -31,8 +31,7 @@ from mixtac_core.recordings.messages import left_aligned
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
-from mixtac_driver.source import SourceKind, make_source, source_kind
-from mixtac_driver.supervisor import State, Supervisor
+from mixtac_driver.supervisor import SourceKind, State, Supervisor, make_source, source_kind
 from mixtac_fger.estimator import CameraFacts, check_camera, given_estimate, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference

@@ -163,7 +163,10 @@ def check_choice(device: str, model: str, params_file: Path | None) -> dict[str,
     Raises:
         MixtacError: Unknown device, no such recording, or no such model.
     """
-    from mixtac_driver.source import SourceKind, source_kind  # numba: --help need not wait for it
+    from mixtac_driver.supervisor import (  # numba: --help need not wait for it
+        SourceKind,
+        source_kind,
+    )
     from mixtac_fger.weights import find_model, read_model
 
     if source_kind(device) is SourceKind.RECORDED and params_file is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -23,7 +23,7 @@ from mixtac_driver.device import DATA_ENDPOINT, Connection
 from mixtac_driver.errors import DriverError, HungReadError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
-from mixtac_driver.usb.transport import BulkReader, Gap, Transfer, TransportCounters
+from mixtac_driver.usb.transport import BulkReader, Transfer, TransportCounters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,21 +73,7 @@ class SourceStatus:
     trouble: str = ''
 
 
-LOSSES = (
-    'events_outside',
-    'events_without_row',
-    'rows_outside',
-    'timestamps_backwards',
-    'specials_unknown',
-    'misc_unknown',
-    'samples_unexpected',
-    'aps_unexpected',
-    'frames_dropped',
-    'imu_dropped',
-    'imu_unexpected',
-    'bytes_dropped',
-    'bytes_lost',
-)
+LOSSES = ('words_unexpected', 'frames_dropped', 'imu_dropped', 'bytes_dropped')
 """Counters of the decoder that stay at zero on an intact stream."""
 LONGEST_GET_S = 0.1
 LONGEST_HELD_US = 2000
@@ -173,21 +159,15 @@ class Davis346:
 
     def status(self) -> SourceStatus:
         """Return the state of the camera and its stream."""
-        usb, decoder = self.transport_counters, self.decoder_counters
-        counted = asdict(decoder) if decoder else {}
+        usb, counted = self.transport_counters, self.decoder_counters or DecoderCounters()
         return SourceStatus(
             is_open=self._connection is not None,
             identity=self._identity,
             clock=self.clock,
             origin=self.control.epochs.origin if self.control.epochs else None,
-            losses={
-                'usb transfers dropped': usb.dropped_transfers,
-                **{name.replace('_', ' '): counted[name] for name in LOSSES if name in counted},
-            },
+            losses={name.replace('_', ' '): getattr(counted, name) for name in LOSSES},
             figures={
                 'usb bytes': usb.size,
-                'usb queue [bytes]': usb.queued_size,
-                'usb queue maximum [bytes]': usb.most_queued_size,
                 'usb stalls': usb.stalls,
                 'clock resets': self.clock_resets,
                 'clock master': self.is_master,
@@ -274,7 +254,7 @@ class Davis346:
             elif decoder.waiting:
                 # The end of the packet will not come soon.
                 self._due_us = 0
-                nothing = Transfer(b'', time.time_ns(), short_packet=True, gap=Gap())
+                nothing = Transfer(b'', time.time_ns(), short_packet=True)
                 yield from self._decode(decoder, epochs, connection, nothing)
             elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(
@@ -350,8 +330,8 @@ class Davis346:
         transfer: Transfer,
     ) -> Iterator[CameraBatch]:
         origin_before, came, was_reset = epochs.origin, False, False
-        how: dict[str, Any] = {'short_packet': transfer.short_packet, 'gap': transfer.gap}
-        for batch in decoder.push(transfer.data, until_us=self._due_us, **how):
+        short, due_us = transfer.short_packet, self._due_us
+        for batch in decoder.push(transfer.data, short_packet=short, until_us=due_us):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
             if origin is None:
                 continue

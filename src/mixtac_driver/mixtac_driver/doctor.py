@@ -9,12 +9,10 @@ documentation, ABI/testing/sysfs-bus-usb).
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import shutil
 import subprocess
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -28,6 +26,7 @@ from mixtac_core.events.clock_map import ClockEstimate
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import Frame
 from mixtac_driver.camera import Davis346
+from mixtac_driver.davis346.control import dropped
 from mixtac_driver.davis346.model import Identity, camera_models
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.parameters import DriverParameters
@@ -216,7 +215,7 @@ def check_attached(serial: str = '', root: Path = ROOT) -> list[Finding]:
 
 
 LATEST_FRAMES = 5
-"""Frames that are kept for the focus and the zero."""
+"""Frames that are kept for the focus."""
 
 
 @dataclass(slots=True)
@@ -225,13 +224,11 @@ class Measurement:
 
     Attributes:
         seconds: Duration after the first data, by the camera's clock [s].
-        elapsed_s: The same by the host's clock, when the last data were decoded [s].
         events: Number of events.
         frames: Number of frames.
         samples: Number of inertial samples.
-        size: Bytes over USB.
         losses: Data lost or damaged, by kind, as on `/diagnostics`.
-        stalls: Stalls of the data endpoint.
+        dropped: Events and edges that the camera dropped because they were read too late.
         clock: The map from the camera's clock to the host's, or None without data.
         clock_resets: Resets of the camera's clock that the driver did not request.
         latest: Latest frames.
@@ -239,21 +236,15 @@ class Measurement:
     """
 
     seconds: float = 0.0
-    elapsed_s: float = 0.0
     events: int = 0
     frames: int = 0
     samples: int = 0
-    size: int = 0
     losses: Mapping[str, int] = field(default_factory=dict)
-    stalls: int = 0
+    dropped: int = 0
     clock: ClockEstimate | None = None
     clock_resets: int = 0
-    latest: deque[Frame] = field(default_factory=lambda: deque(maxlen=LATEST_FRAMES))
+    latest: list[Frame] = field(default_factory=list)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
-
-    def rate(self, count: int) -> float:
-        """Return a count per second of the camera's clock."""
-        return count / self.seconds if self.seconds else 0.0
 
 
 MOST_WORDS = 64 << 20
@@ -269,13 +260,13 @@ class RawData:
         registers: Value by `module:parameter`.
     """
 
-    words: io.BytesIO = field(default_factory=io.BytesIO)
+    words: bytearray = field(default_factory=bytearray)
     registers: dict[str, int] = field(default_factory=dict)
 
     def add(self, data: bytes) -> None:
         """Append the data of a transfer."""
-        if self.words.tell() < MOST_WORDS:
-            self.words.write(data)
+        if len(self.words) < MOST_WORDS:
+            self.words += data
 
 
 def measure(camera: Davis346, seconds: float) -> Measurement:
@@ -291,41 +282,39 @@ def measure(camera: Davis346, seconds: float) -> Measurement:
     """
     camera.start()
     width, height = camera.identity.geometry.event_size
-    result = Measurement(counts=np.zeros((height, width), np.int64))
-    began_s, began_us, size_before = 0.0, 0, 0
+    m = Measurement(counts=np.zeros((height, width), np.int64))
+    began_s, began_us, dropped_before = 0.0, 0, 0
     for batch in camera.batches():
         if not began_s:
             # The first call of the decoder may have compiled it while data waited.
             began_s, began_us = time.monotonic(), batch.time_us
-            size_before = camera.transport_counters.size
+            dropped_before = dropped(camera.control.statistics())
             continue
         decoded = batch.decoded
-        result.events += len(decoded.events)
-        np.add.at(result.counts, (decoded.events.y, decoded.events.x), 1)
-        result.frames += len(decoded.frames)
-        result.latest.extend(decoded.frames)
-        result.samples += len(decoded.imu.t)
-        result.elapsed_s = time.monotonic() - began_s
-        result.seconds = (batch.time_us - began_us) / 1e6
-        if result.elapsed_s >= seconds:
+        m.events += len(decoded.events)
+        np.add.at(m.counts, (decoded.events.y, decoded.events.x), 1)
+        m.frames += len(decoded.frames)
+        m.latest = [*m.latest, *decoded.frames][-LATEST_FRAMES:]
+        m.samples += len(decoded.imu.t)
+        m.seconds = (batch.time_us - began_us) / 1e6
+        if time.monotonic() >= began_s + seconds:
             break
-    result.size = camera.transport_counters.size - size_before
-    result.stalls = camera.transport_counters.stalls
-    result.losses = camera.status().losses
-    result.clock = camera.clock.estimate() if camera.clock.ready else None
-    result.clock_resets = camera.clock_resets
+    m.dropped = dropped(camera.control.statistics()) - dropped_before
+    m.losses = {**camera.status().losses, 'usb stalls': camera.transport_counters.stalls}
+    m.clock = camera.clock.estimate() if camera.clock.ready else None
+    m.clock_resets = camera.clock_resets
     camera.stop()
-    return result
+    return m
 
 
 RATE_TOLERANCE = 0.9
+"""Least rate of frames and samples, as a share of the rate that the settings ask for."""
 MOST_SKEW_PPM = 100.0
-MOST_RESIDUAL_US = 1000.0
+"""Largest plausible difference in rate of the clocks of camera and computer."""
 SKEW_AFTER_S = 10.0
 """Shortest measurement that gives the skew of the clock [s]."""
-MOST_BEHIND_S = 0.2
 CABLE = 'try another cable and port; if it persists, unplug and reconnect the camera'
-BUSY = 'close busy programs: the computer reads the camera too late'
+BUSY = 'use a USB 3 port and close busy programs: the computer reads the camera too late'
 HOT_HZ = 10.0
 """Event rate of a hot pixel in a still scene [1/s]."""
 MOST_NOISE_HZ = 1.0
@@ -368,102 +357,74 @@ def check_identity(identity: Identity) -> Finding:
     firmware, logic = ('.'.join(map(str, v)) for v in (identity.firmware, identity.logic))
     found = f'{identity.chip}, {identity.serial or "no serial number"}, firmware {firmware}, '
     found += f'logic {logic}, {"own" if identity.is_master else "external"} clock'
-    values: dict[str, Value] = {
-        'serial': identity.serial,
-        'chip': identity.chip,
-        'firmware': firmware,
-        'logic': logic,
-        'color_filter': identity.color_filter,
-        'imu_type': identity.imu_type,
-        'master': identity.is_master,
-    }
-    return Finding('identity', Level.OK, found, values=values)
+    values = {'serial': identity.serial, 'chip': identity.chip, 'firmware': firmware}
+    return ok('identity', found, **values, logic=logic, master=identity.is_master)
 
 
-def check_measurement(r: Measurement, p: CameraParameters, identity: Identity) -> list[Finding]:
+def check_measurement(m: Measurement, p: CameraParameters, identity: Identity) -> list[Finding]:
     """Compare a measurement with the settings."""
-    rate, uncovered = r.rate(r.events), 'take the lens cap off and move something in view'
-    values, problem = {'events [1/s]': round(rate, 1)}, (not r.events, Level.WARN, uncovered)
+    rate, uncovered = m.events / max(m.seconds, 1e-9), 'take the lens cap off and move something'
+    values, problem = {'events [1/s]': round(rate, 1)}, (not m.events, Level.WARN, uncovered)
     findings = [judge('events', f'{rate:,.0f} /s', values, problem)]
     if identity.model.has_frames:
         wanted = 1e6 / max(p.aps_frame_interval, p.aps_exposure, 1)
-        findings.append(_check_rate('frames', r, r.frames, wanted))
+        findings.append(_check_rate('frames', m.frames, m.seconds, wanted))
     if identity.imu_type:
         wanted = 1000 / (1 + p.imu_sample_rate_divider)
-        findings.append(_check_rate('inertial samples', r, r.samples, wanted))
-    return [*findings, _check_losses(r), _check_camera_clock(r), _check_noise(r), _check_focus(r)]
+        findings.append(_check_rate('inertial samples', m.samples, m.seconds, wanted))
+    return [*findings, _check_losses(m), _check_camera_clock(m), _check_noise(m), _check_focus(m)]
 
 
-def _check_rate(name: str, r: Measurement, count: int, wanted: float) -> Finding:
-    rate = r.rate(count)
+def _check_rate(name: str, count: int, seconds: float, wanted: float) -> Finding:
+    rate = count / max(seconds, 1e-9)
     return judge(
         name,
         f'{rate:.1f} /s, {wanted:.0f} /s expected',
         {f'{name} [1/s]': round(rate, 1), 'wanted [1/s]': round(wanted, 1)},
         (not count, Level.ERROR, 'unplug and reconnect the camera'),
         # One more or less depends on the start of the count.
-        (count + 1 < RATE_TOLERANCE * wanted * r.seconds, Level.WARN, CABLE),
+        (count + 1 < RATE_TOLERANCE * wanted * seconds, Level.WARN, CABLE),
     )
 
 
-def _check_losses(r: Measurement) -> Finding:
-    counts, behind_s = {**r.losses, 'usb stalls': r.stalls}, r.elapsed_s - r.seconds
-    busy = behind_s > MOST_BEHIND_S
+def _check_losses(m: Measurement) -> Finding:
+    counts = {**m.losses, 'dropped by the camera': m.dropped}
     listed = [f'{count} {name}' for name, count in counts.items() if count]
-    listed += [f'decoding is {behind_s:.1f} s behind'] if busy else []
-    rate = r.size / max(r.elapsed_s, 1e-9) / 1e6
-    return judge(
-        'losses',
-        ', '.join(listed) or 'none',
-        {**counts, 'usb [MB/s]': round(rate, 3), 'behind [s]': round(behind_s, 3)},
-        (busy or bool(counts.get('usb transfers dropped')), Level.WARN, BUSY),
-        (bool(listed), Level.WARN, CABLE),
-    )
+    problems = (m.dropped > 0, Level.WARN, BUSY), (bool(listed), Level.WARN, CABLE)
+    return judge('losses', ', '.join(listed) or 'none', counts, *problems)
 
 
-def _check_camera_clock(r: Measurement) -> Finding:
-    name, clock = 'camera clock', r.clock
+def _check_camera_clock(m: Measurement) -> Finding:
+    name, clock = 'camera clock', m.clock
     if clock is None:
         return Finding(name, Level.WARN, 'no data to compare with', CABLE)
     known = clock.span_s >= SKEW_AFTER_S
     skew = f'skew {clock.skew_ppm:+.1f} ppm' if known else 'skew unknown: use --seconds 12'
     return judge(
         name,
-        f'{skew}; residual {clock.residual_us:.0f} us; {r.clock_resets} unexpected resets',
-        {
-            'skew [ppm]': round(clock.skew_ppm, 2) if known else None,
-            'residual [us]': round(clock.residual_us, 1),
-            'resets': r.clock_resets,
-        },
-        (r.clock_resets > 0, Level.WARN, 'check the synchronisation cable'),
+        f'{skew}; {m.clock_resets} unexpected resets',
+        {'skew [ppm]': round(clock.skew_ppm, 2) if known else None, 'resets': m.clock_resets},
+        (m.clock_resets > 0, Level.WARN, 'check the synchronisation cable'),
         (abs(clock.skew_ppm) > MOST_SKEW_PPM, Level.WARN, 'synchronise the clock of the computer'),
-        (clock.residual_us > MOST_RESIDUAL_US, Level.WARN, BUSY),
     )
 
 
-def _check_noise(r: Measurement) -> Finding:
+def _check_noise(m: Measurement) -> Finding:
     """Check the event rate of the median pixel: noise, as long as most of the scene is still."""
-    rates = r.counts / max(r.seconds, 1e-9)
+    rates = m.counts / max(m.seconds, 1e-9)
     middle = float(np.median(rates)) if rates.size else 0.0
     hot = int((rates > HOT_HZ).sum())
-    return judge(
-        'noise',
-        f'{middle:.2f} /s per pixel (median), {hot} pixels above {HOT_HZ:g} /s',
-        {'median [1/s]': round(middle, 3), 'hot pixels': hot},
-        (
-            middle > MOST_NOISE_HZ,
-            Level.WARN,
-            'keep the scene still; use a lamp on direct current, or raise the thresholds',
-        ),
-    )
+    found = f'{middle:.2f} /s per pixel (median), {hot} pixels above {HOT_HZ:g} /s'
+    values = {'median [1/s]': round(middle, 3), 'hot pixels': hot}
+    remedy = 'keep the scene still; use a lamp on direct current, or raise the thresholds'
+    return judge('noise', found, values, (middle > MOST_NOISE_HZ, Level.WARN, remedy))
 
 
-def _check_focus(r: Measurement) -> Finding:
+def _check_focus(m: Measurement) -> Finding:
     """Compare the detail at one pixel with the detail at four pixels in the latest frames."""
-    shape = r.latest[-1].image.shape if r.latest else ()
-    stack = np.array([f.image for f in r.latest if f.image.shape == shape], np.float64)
-    if len(stack) < LATEST_FRAMES:
+    if len(m.latest) < LATEST_FRAMES:
         return ok('focus', 'too few frames to measure')
+    stack = np.array([frame.image for frame in m.latest], np.float64)
     picture = stack.mean(axis=0)
     noise = 2.0 * float(stack.var(axis=0, ddof=1).mean()) / len(stack)
     near, far = (
@@ -473,6 +434,5 @@ def _check_focus(r: Measurement) -> Finding:
         return ok('focus', 'no contrast in view')
     sharpness = max(near, 0.0) / far
     remedy = 'turn the focus ring until the markers are sharp'
-    values = {'sharpness': round(sharpness, 3)}
-    found = f'sharpness {sharpness:.2f}'
-    return judge('focus', found, values, (sharpness < LEAST_SHARPNESS, Level.WARN, remedy))
+    problem = (sharpness < LEAST_SHARPNESS, Level.WARN, remedy)
+    return judge('focus', f'{sharpness:.2f}', {'sharpness': round(sharpness, 3)}, problem)

@@ -193,7 +193,7 @@ def replayed_identity(info: RecordingInfo) -> Identity:
 
 
 class RecordedSource:
-    """Plays a recording (see `mixtac_driver.source.Source`).
+    """Plays a recording (see `mixtac_driver.supervisor.Source`).
 
     `batches` is for one thread, everything else may be used from others.
 

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A checkerboard before a wide-angle camera, ray-cast; shares no code with what is tested."""
+"""A checkerboard before a wide-angle camera; OpenCV has the lens, which is not tested here."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from mixtac_driver.calibration import Board, View
@@ -30,31 +31,14 @@ def camera_matrix(fx, fy, cx, cy):
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def rays(x, y):
-    """Directions [n, 3] of pixels of the equidistant lens, by bisection on the angle."""
-    fx, fy, cx, cy, d = WIDE['equidistant']
-    u, v = (x - cx) / fx, (y - cy) / fy
-    bent = np.hypot(u, v)
-    # Bisection at a few radii, straight lines between them.
-    radii = np.linspace(0, bent.max(), 20_000)
-    low, high = np.zeros_like(radii), np.full_like(radii, 1.55)
-    for _ in range(50):
-        middle = (low + high) / 2
-        shown = sum(k * middle ** (2 * i + 3) for i, k in enumerate(d)) + middle
-        low, high = np.where(shown < radii, middle, low), np.where(shown < radii, high, middle)
-    angle = np.interp(bent, radii, low)
-    scale = np.sin(angle) / np.maximum(bent, 1e-12)
-    return np.stack([u * scale, v * scale, np.cos(angle)], axis=-1)
+def lens(model):
+    """Camera matrix and coefficients."""
+    *matrix, coefficients = WIDE[model]
+    return camera_matrix(*matrix), np.array(coefficients)
 
 
 def rotation(vector):
-    """Rodrigues' formula."""
-    angle = np.linalg.norm(vector)
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = np.asarray(vector) / angle
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+    return cv2.Rodrigues(np.asarray(vector, float))[0]
 
 
 class BoardCamera:
@@ -69,8 +53,9 @@ class BoardCamera:
         steps = (np.arange(oversampling) + 0.5) / oversampling - 0.5
         x = (np.arange(WIDTH)[:, None] + steps).ravel()
         y = (np.arange(HEIGHT)[:, None] + steps).ravel()
-        grid_x, grid_y = np.meshgrid(x, y)
-        self._rays = rays(grid_x.ravel(), grid_y.ravel())
+        pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
+        ideal = cv2.fisheye.undistortPoints(pixels, *lens('equidistant'))[:, 0]
+        self._rays = np.hstack([ideal, np.ones((len(ideal), 1))])
 
     def image(self, turn, centre, rng, *, blur=0.8, noise=4.0, contrast=0.55, light=420.0):
         """A 10-bit image, left-aligned in 16.
@@ -97,7 +82,7 @@ class BoardCamera:
         value = np.where(paper, np.where(black, 1 - contrast, 1.0), 0.75)
         shape = (HEIGHT, self._n, WIDTH, self._n)
         pixels = value.reshape(shape).mean(axis=(1, 3))
-        pixels = _smooth(pixels, blur)
+        pixels = cv2.GaussianBlur(pixels, (0, 0), blur) if blur else pixels
         y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
         shade = 1 - 0.35 * (((x - 180) / 200) ** 2 + ((y - 120) / 200) ** 2)
         pixels = pixels * shade * light + rng.normal(0, noise, pixels.shape) + 60
@@ -106,23 +91,13 @@ class BoardCamera:
 
 def corners(model, turn, centre):
     """True pixels of the inner corners [54, 2], row by row."""
-    fx, fy, cx, cy, d = WIDE[model]
     column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
     board = np.stack([column - (COLUMNS - 1) / 2, row - (ROWS - 1) / 2, 0.0 * row], axis=-1)
-    x, y, z = (board.reshape(-1, 3) * SQUARE_M @ rotation(turn).T + centre).T
-    if model == 'equidistant':
-        angle = np.arctan2(np.hypot(x, y), z)
-        shown = angle + sum(k * angle ** (2 * i + 3) for i, k in enumerate(d))
-        scale = shown / np.hypot(x, y)
-        return np.stack([cx + fx * x * scale, cy + fy * y * scale], axis=1)
-    k = np.zeros(8)
-    k[: len(d)] = d
-    a, b = x / z, y / z
-    s = a * a + b * b
-    gain = (1 + k[0] * s + k[1] * s**2 + k[4] * s**3) / (1 + k[5] * s + k[6] * s**2 + k[7] * s**3)
-    u = a * gain + 2 * k[2] * a * b + k[3] * (s + 2 * a * a)
-    v = b * gain + k[2] * (s + 2 * b * b) + 2 * k[3] * a * b
-    return np.stack([cx + fx * u, cy + fy * v], axis=1)
+    points = board.reshape(1, -1, 3) * SQUARE_M
+    project = cv2.fisheye.projectPoints if model == 'equidistant' else cv2.projectPoints
+    return project(points, np.asarray(turn, float), np.asarray(centre), *lens(model))[0].reshape(
+        -1, 2
+    )
 
 
 def visible(model, turn, centre, margin=4):
@@ -150,21 +125,6 @@ def perfect_views(model, count, seed, noise=0.05, held=None):
         View(board, corners(model, *each) + rng.normal(0, noise, (54, 2)), WIDTH, HEIGHT, str(i))
         for i, each in enumerate(chosen)
     ]
-
-
-def _smooth(pixels, sigma):
-    if sigma <= 0:
-        return pixels
-    reach = int(np.ceil(4 * sigma))
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    weights /= weights.sum()
-    for axis in (0, 1):
-        padded = np.pad(pixels, [(reach, reach) if a == axis else (0, 0) for a in (0, 1)], 'edge')
-        pixels = sum(
-            w * np.take(padded, np.arange(i, i + pixels.shape[axis]), axis=axis)
-            for i, w in enumerate(weights)
-        )
-    return pixels
 
 
 def poses(count, seed):

@@ -110,38 +110,31 @@ class FakeBackend(usb.backend.IBackend):
 
     def get_device_descriptor(self, dev):
         return SimpleNamespace(
-            bLength=18, bDescriptorType=1, bcdUSB=0x300, bDeviceClass=0, bDeviceSubClass=0,
-            bDeviceProtocol=0, bMaxPacketSize0=9, idVendor=0x152A, idProduct=0x841A,
-            bcdDevice=dev.bcd_device, iManufacturer=1, iProduct=2, iSerialNumber=3,
-            bNumConfigurations=1, bus=1, address=1, port_number=1, port_numbers=(1,), speed=4,
+            bcdUSB=0x300, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0, bMaxPacketSize0=9,
+            idVendor=0x152A, idProduct=0x841A, bcdDevice=dev.bcd_device, iManufacturer=1,
+            iProduct=2, iSerialNumber=3, bNumConfigurations=1, bus=1, address=1, port_number=1,
+            port_numbers=(1,), speed=4, bLength=18, bDescriptorType=1,
+        )  # fmt: skip
+
+    def _descriptor(self, *indices):
+        """Return the fields of configuration, interface and endpoint, the only ones there are."""
+        if any(indices):
+            raise IndexError(indices)
+        return SimpleNamespace(
+            bLength=9, wTotalLength=25, bNumInterfaces=1, bConfigurationValue=1, iConfiguration=0,
+            bMaxPower=50, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=1,
+            bInterfaceClass=255, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0,
+            bDescriptorType=2, bEndpointAddress=0x82, bmAttributes=2, wMaxPacketSize=1024,
+            bInterval=0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
     def get_configuration_descriptor(self, dev, config):
-        if config:
-            raise IndexError(config)
-        return SimpleNamespace(
-            bLength=9, bDescriptorType=2, wTotalLength=25, bNumInterfaces=1,
-            bConfigurationValue=1, iConfiguration=0, bmAttributes=0x80, bMaxPower=50,
-            extra_descriptors=[],
-        )  # fmt: skip
+        return self._descriptor(config)
 
-    def get_interface_descriptor(self, dev, intf, alt, config):
-        if intf or alt or config:
-            raise IndexError(intf)
-        return SimpleNamespace(
-            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0,
-            bNumEndpoints=1, bInterfaceClass=255,
-            bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
-        )  # fmt: skip
+    def get_interface_descriptor(self, dev, *indices):
+        return self._descriptor(*indices)
 
-    def get_endpoint_descriptor(self, dev, ep, intf, alt, config):
-        if ep:
-            raise IndexError(ep)
-        return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=0x82,
-            bmAttributes=2, wMaxPacketSize=1024, bInterval=0,
-            bRefresh=0, bSynchAddress=0, extra_descriptors=[],
-        )  # fmt: skip
+    get_endpoint_descriptor = get_interface_descriptor
 
     def open_device(self, dev):
         if dev.open_error:

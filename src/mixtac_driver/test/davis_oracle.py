@@ -40,7 +40,7 @@ class Oracle:
         self.frame = None
         self.imu = None
         self.events, self.frames, self.samples, self.edges = [], [], [], []
-        self.dropped_frames = self.dropped_imu = 0
+        self.dropped_frames = self.dropped_imu = self.unexpected = 0
         aps = (geometry.aps_columns, geometry.aps_rows)
         self.width, self.height = aps[::-1] if geometry.aps_inverted else aps
 
@@ -50,33 +50,42 @@ class Oracle:
         return self
 
     def word(self, word):
+        if not self.accepts(word):
+            self.unexpected += 1
+
+    def accepts(self, word):
+        """Take a word; return whether it is known and belongs where it is."""
         if word & 0x8000:
-            self.t = max(self.t, self.base + (word & 0x7FFF))
-            return
+            before, stamp = self.t, self.base + (word & 0x7FFF)
+            self.t = max(before, stamp)
+            return stamp >= before
         kind, low = word >> 12, word & 0xFFF
         if kind == 0:
-            self.special(low)
-        elif kind == 1:
-            if low < self.g.dvs_rows:
-                self.row = low
-        elif kind in (2, 3):
-            self.column_address(low, kind == 3)
-        elif kind == 4:
-            self.adc(word & 0x3FF)
-        elif kind == 5:
-            self.misc8(low >> 8, low & 0xFF)
-        elif kind == 6:
-            if low >> 10 == 0 and self.frame and len(self.frame.exposure_bits) < 3:
-                self.frame.exposure_bits.append(low & 0x3FF)
-        elif kind == 7 and low:
+            return self.special(low)
+        if kind == 1 and low < self.g.dvs_rows:
+            self.row = low
+            return True
+        if kind in (2, 3):
+            return self.column_address(low, kind == 3)
+        if kind == 4:
+            return self.adc(word & 0x3FF)
+        if kind == 5:
+            return self.misc8(low >> 8, low & 0xFF)
+        if kind == 6 and low >> 10 == 0 and self.frame and len(self.frame.exposure_bits) < 3:
+            self.frame.exposure_bits.append(low & 0x3FF)
+            return True
+        if kind == 7 and low:
             self.base += low * 32768
             self.t = self.base
+            return True
+        return False
 
     def column_address(self, low, on):
         if low >= self.g.dvs_columns or self.row is None:
-            return
+            return False
         x, y = (self.row, low) if self.g.dvs_inverted else (low, self.row)
         self.events.append((self.resets, self.t, x, y, on))
+        return True
 
     def special(self, code):
         if code == 1:
@@ -90,12 +99,13 @@ class Oracle:
             self.drop_imu()
             self.imu = []
         elif code == 7:
-            self.imu_end()
+            return self.imu_end()
         elif code in (8, 9):
             self.drop_frame()
             self.frame = OpenFrame(code == 8, self.t)
-        elif self.frame:
-            self.frame_special(code)
+        else:
+            return self.frame is not None and self.frame_special(code)
+        return True
 
     def frame_special(self, code):
         frame = self.frame
@@ -107,6 +117,7 @@ class Oracle:
             bad = bad or (code == 12 and len(frame.signals) >= len(frame.resets))
             frame.broken = frame.broken or bad
             frame.column = None if bad else ('reset' if code == 11 else 'signal', [])
+            return not bad
         elif code == 13 and frame.column:
             kind, samples = frame.column
             frame.broken = frame.broken or len(samples) != self.expected()[1]
@@ -116,6 +127,9 @@ class Oracle:
             frame.exposure_start = self.t
         elif code == 15:
             frame.exposure_end = self.t
+        else:
+            return False
+        return True
 
     def region(self):
         """Start column, start row, width, height in user orientation."""
@@ -132,8 +146,10 @@ class Oracle:
 
     def adc(self, value):
         column = self.frame.column if self.frame else None
-        if column and len(column[1]) < self.expected()[1]:
+        fits = column is not None and len(column[1]) < self.expected()[1]
+        if fits:
             column[1].append(value)
+        return fits
 
     def misc8(self, code, data):
         frame, imu = self.frame, self.imu
@@ -141,19 +157,29 @@ class Oracle:
             frame.roi_high = data << 8
         elif code == 2 and frame and len(frame.roi) < 4:
             frame.roi.append(frame.roi_high | data)
+            if len(frame.roi) == 4:
+                (x0, y0, x1, y1), (w, h) = frame.roi, (self.width, self.height)
+                self.unexpected += not x0 <= x1 < w
+                self.unexpected += not y0 <= y1 < h
         elif code == 0 and imu and len(imu) - 1 < self.imu_length():
             imu.append(data)
-        elif code == 3 and imu is not None:
-            if imu or not data & 0xE0:
-                self.drop_imu()
-            else:
+        elif code == 3:
+            awaited = imu == []
+            if awaited and data & 0xE0:
                 imu.append(data)
+            else:
+                self.drop_imu()
+            return awaited
+        else:
+            return False
+        return True
 
     def imu_length(self):
         info = self.imu[0]
         return 6 * bool(info & 0x80) + 6 * bool(info & 0x40) + 2 * bool(info & 0x20)
 
     def imu_end(self):
+        begun = self.imu is not None
         if self.imu and len(self.imu) - 1 == self.imu_length():
             info, rest = self.imu[0], self.imu[1:]
 
@@ -173,6 +199,7 @@ class Oracle:
             self.imu = None
         else:
             self.drop_imu()
+        return begun
 
     def drop_imu(self):
         self.dropped_imu += self.imu is not None

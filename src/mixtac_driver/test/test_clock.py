@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,14 +12,6 @@ from mixtac_driver.clock import JUMP_US, ClockEpochs, Origin
 from mixtac_driver.errors import StreamError
 
 ASKED = Origin(10**15, 1000)
-
-
-def test_reset_that_arrived_before_it_was_asked_for_is_another():
-    epochs = ClockEpochs(ASKED, 1000)
-    assert epochs.follow(1, 50, ASKED.host_ns - 5000) is None
-    assert epochs.follow(1, 60, ASKED.host_ns + 5000) is None
-    assert epochs.follow(2, 3, ASKED.host_ns + 6000) == ASKED
-    assert epochs.unasked == 0
 
 
 def test_new_stream_begins_after_what_was_published_before():
@@ -76,40 +66,6 @@ def test_a_reset_under_way_before_another_was_asked_for_counts_as_unasked():
     assert epochs.follow(2, 5, later.host_ns - 500_000) != later
     assert epochs.unasked == 1
     assert epochs.follow(3, 5, later.host_ns + 500_000) == later
-
-
-@pytest.mark.parametrize('at_once', [False, True])
-def test_resets_that_were_asked_for_before_the_first_arrived_are_all_known(at_once):
-    epochs = started()
-    first = Origin(ASKED.host_ns + 10**9, 2000)
-    second = Origin(first.host_ns + 400_000, 2000)
-    for each in (first, second):
-        epochs.ask(lambda each=each: each)
-    if not at_once:
-        assert epochs.follow(2, 5, first.host_ns + 500_000) == first
-    assert epochs.follow(3, 5, second.host_ns + 500_000) == second
-    assert epochs.unasked == 0
-
-
-def test_who_sees_the_reset_first_waits_for_its_time():
-    epochs = started()
-    later = Origin(ASKED.host_ns + 10**9, 2000)
-    asking, origins = threading.Event(), []
-
-    def reset():
-        asking.set()
-        thread.start()
-        # Long enough for the other thread to run into the wait.
-        thread.join(0.2)
-        assert not origins
-        return later
-
-    thread = threading.Thread(
-        target=lambda: origins.append(epochs.follow(2, 5, later.host_ns + 1000))
-    )
-    epochs.ask(reset)
-    thread.join(10)
-    assert origins == [later]
 
 
 def test_data_that_arrive_before_the_request_returned_bound_the_reset():

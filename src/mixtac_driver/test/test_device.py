@@ -14,7 +14,7 @@ from usb.core import USBError
 
 from mixtac_driver import device as backend
 from mixtac_driver.device import attached_cameras, find_camera
-from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, UsbError
+from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError
 
 
 @pytest.fixture
@@ -38,14 +38,6 @@ def test_unknown_names_list_the_known_ones(shelf, device):
     with pytest.raises(UnknownDeviceError) as error:
         backend.open_backend(device)
     assert 'davis346, shelf' in error.value.remedy
-
-
-def test_missing_libusb_is_named(monkeypatch):
-    monkeypatch.setattr(backend.importlib.util, 'find_spec', lambda _name: None)
-    monkeypatch.setattr('usb.backend.libusb1.get_backend', lambda: None)
-    with pytest.raises(UsbError) as error:
-        backend.open_backend('davis346')
-    assert 'libusb' in error.value.remedy
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
-from types import SimpleNamespace
 
 import pytest
 from davis_fake import FakeBackend, FakeCamera
@@ -31,21 +29,6 @@ def test_what_to_do_first_is_the_first_of_the_worst():
     assert doctor.first_to_do(findings[:2]) is warning
     assert doctor.first_to_do(findings[:1]) is None
     assert doctor.worst([]) is Level.OK
-
-
-@pytest.mark.parametrize(('answer', 'level'), [('yes', Level.OK), ('no', Level.WARN)])
-def test_clock_of_the_computer(monkeypatch, answer, level):
-    run = SimpleNamespace(stdout=f'{answer}\n')
-    monkeypatch.setattr(doctor.subprocess, 'run', lambda *_, **__: run)
-    assert doctor.check_clock().level is level
-
-
-@pytest.mark.parametrize(('free_gb', 'level'), [(50, Level.OK), (9, Level.WARN)])
-def test_disk(tmp_path, monkeypatch, free_gb, level):
-    usage = SimpleNamespace(free=free_gb * 10**9)
-    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage)
-    finding = doctor.check_disk(tmp_path)
-    assert (finding.level, finding.values) == (level, {'free [GB]': free_gb})
 
 
 def plug_in(root, port='2-1', **changes):
@@ -98,7 +81,7 @@ def test_several_cameras_need_a_serial_number(tmp_path, serial, level, speeds):
 
 @pytest.mark.parametrize(
     ('speed', 'level'),
-    [('20000', Level.OK), ('5000', Level.OK), ('480', Level.WARN), ('1.5', Level.ERROR)],
+    [('5000', Level.OK), ('480', Level.WARN), ('1.5', Level.ERROR)],
 )
 def test_speed(tmp_path, speed, level):
     finding = finding_of(plug_in(tmp_path, speed=speed), 'USB speed')
@@ -116,20 +99,16 @@ def test_permission(tmp_path, monkeypatch):
     assert (finding.level, '--device=/dev/bus/usb' in finding.remedy) == (Level.ERROR, True)
 
 
-def test_the_rule_that_is_named_exists_and_matches_the_camera():
-    text = doctor.RULE_FILE.read_text()
-    assert 'ATTRS{idVendor}=="152a"' in text
-    assert 'ATTRS{idProduct}=="84[0-1]?"' in text
+def test_the_rule_that_is_named_matches_the_camera():
+    assert 'ATTRS{idVendor}=="152a"' in doctor.RULE_FILE.read_text()
 
 
 CLOCK = ClockEstimate(offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, steps=0)
 GOOD = Measurement(
     seconds=2.0,
-    elapsed_s=2.0,
     events=100_000,
     frames=50,
     samples=2000,
-    size=20_000_000,
     clock=CLOCK,
 )
 
@@ -143,24 +122,17 @@ def identity():
 @pytest.mark.parametrize(
     ('name', 'changes', 'level'),
     [
-        ('events', {}, Level.OK),
-        ('camera clock', {}, Level.OK),
         ('events', {'events': 0}, Level.WARN),
         ('frames', {'frames': 0}, Level.ERROR),
         ('frames', {'frames': 40}, Level.WARN),
-        ('frames', {'frames': 45}, Level.OK),
-        ('inertial samples', {'samples': 0}, Level.ERROR),
         ('inertial samples', {'samples': 1500}, Level.WARN),
-        ('losses', {'stalls': 1}, Level.WARN),
         ('losses', {'losses': {'frames dropped': 2}}, Level.WARN),
-        ('losses', {'losses': {'usb transfers dropped': 3}}, Level.WARN),
-        ('losses', {'elapsed_s': 3.0}, Level.WARN),
+        ('losses', {'dropped': 3}, Level.WARN),
         ('camera clock', {'clock': None}, Level.WARN),
         ('camera clock', {'clock_resets': 1}, Level.WARN),
         ('camera clock', {'clock': dataclasses.replace(CLOCK, skew_ppm=-150.0)}, Level.WARN),
-        ('camera clock', {'clock': dataclasses.replace(CLOCK, residual_us=2000.0)}, Level.WARN),
         ('camera clock', {'clock': dataclasses.replace(CLOCK, span_s=2.0)}, Level.OK),
-        ('losses', {'elapsed_s': 0.0, 'seconds': 0.0}, Level.OK),
+        ('losses', {'seconds': 0.0}, Level.OK),
     ],
 )
 def test_figures_are_judged(identity, name, changes, level):
@@ -189,8 +161,7 @@ def test_a_running_camera_is_measured(scene):
     samples = found['inertial samples']
     assert samples.level is Level.WARN
     assert samples.values['inertial samples [1/s]'] == pytest.approx(200, rel=0.1)
-    assert found['losses'].values['usb [MB/s]'] > 0
-    assert found['losses'].values['usb transfers dropped'] == 0
+    assert found['losses'].values['frames dropped'] == 0
     # It was given back: another may have it at once.
     assert next(check_running(VIRTUAL, 0.1, backend=backend)).name == 'identity'
 

@@ -43,11 +43,3 @@ def test_two_sensors_have_two_sets_of_frames():
     )
     assert not left & right
     assert frame_id(CONTACT_FRAME, '/left') in left
-
-
-def test_angles_turn_about_fixed_axes():
-    right = np.pi / 2
-    joint = f'<parent link="a"/><child link="b"/><origin xyz="0 0 0" rpy="{right} 0 {right}"/>'
-    (frame,) = fixed_frames(f'<robot><joint>{joint}</joint></robot>')
-    turn = frame.transform.rotation
-    assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx((0.5, 0.5, 0.5, 0.5))

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import os
-
 import cv2
 import numpy as np
 import pytest
@@ -42,18 +40,6 @@ def test_events_of_masked_pixels_are_dropped_and_counted(masked, seen):
     assert mask.dropped == len(seen) - len(expected)
 
 
-def test_addresses_outside_the_array_are_not_looked_up():
-    outside = events_at([(65535, 65535), (346, 0), (0, 260)])
-    assert len(PixelMask([(1, 1)], SIZE).keep(outside)) == 0
-
-
-def test_the_camera_takes_the_first_eight():
-    pixels = [(k, k) for k in range(20)]
-    mask = PixelMask([*pixels, (0, 0)], SIZE)
-    assert mask.in_camera == tuple(pixels[:8])
-    assert len(mask.pixels) == 20
-
-
 def test_images_keep_the_mask_and_which_pixels_come_first(tmp_path):
     pixels = [(300 - k, 200 + k) for k in range(20)]
     path = str(tmp_path / 'mask.png')
@@ -61,14 +47,6 @@ def test_images_keep_the_mask_and_which_pixels_come_first(tmp_path):
     mask = load_mask(path)
     assert set(mask.pixels) == set(pixels)
     assert set(mask.in_camera) == set(pixels[:8])
-
-
-def test_a_mask_is_a_file(tmp_path):
-    pipe = str(tmp_path / 'pipe.png')
-    os.mkfifo(pipe)
-    for path in (pipe, str(tmp_path), f'{tmp_path}\0'):
-        with pytest.raises(ConfigurationError):
-            load_mask(path)
 
 
 def test_files_that_are_no_masks_are_refused(tmp_path):

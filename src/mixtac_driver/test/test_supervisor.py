@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the supervisor does after a failure, on a source that follows a script."""
+"""Which source a device string names, and what the supervisor does after its failures."""
 
 from __future__ import annotations
 
 import threading
 import time
-from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -15,9 +14,16 @@ from davis_fake import FakeBackend, FakeCamera
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver import supervisor as supervisor_module
 from mixtac_driver.camera import Davis346
-from mixtac_driver.errors import EndOfStream, HungReadError, NoCameraError, StreamError
+from mixtac_driver.errors import (
+    EndOfStream,
+    HungReadError,
+    NoCameraError,
+    StreamError,
+    UnknownDeviceError,
+)
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.supervisor import State, Supervisor
+from mixtac_driver.playback import RecordedSource
+from mixtac_driver.supervisor import SourceKind, State, Supervisor, make_source, source_kind
 
 NEVER_S = 1000.0
 GONE = ('open', NoCameraError('gone'))
@@ -38,14 +44,14 @@ class Script:
     def __init__(self, *entries):
         self.entries = list(entries)
         self.is_open = False
-        self.opened_s = []
+        self.openings = 0
         self.stopping = threading.Event()
 
     def status(self):
         return SimpleNamespace(is_open=self.is_open)
 
     def open(self):
-        self.opened_s.append(time.monotonic())
+        self.openings += 1
         self.stopping.clear()
         self.entry = self.entries.pop(0) if self.entries else None
         self._raise_in('open')
@@ -157,7 +163,7 @@ def test_end_of_a_recording_is_no_failure():
     watch = Watch(script)
     supervisor = watch.wait_for_end()
     assert (supervisor.state, supervisor.error, supervisor.failure) == (State.ENDED, '', None)
-    assert (len(script.opened_s), supervisor.failures, watch.errors) == (1, 0, [])
+    assert (script.openings, supervisor.failures, watch.errors) == (1, 0, [])
     assert not script.is_open
 
 
@@ -167,57 +173,7 @@ def test_a_source_that_opening_again_cannot_mend_is_not_opened_again(kind):
     supervisor = Watch(script).wait_for_end()
     assert (supervisor.state, supervisor.error) == (State.FAILED, 'damaged')
     assert isinstance(supervisor.failure, kind)
-    assert len(script.opened_s) == 1
-
-
-def test_pauses_double_up_to_a_bound(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'FIRST_PAUSE_S', 0.02)
-    monkeypatch.setattr(supervisor_module, 'LONGEST_PAUSE_S', 0.05)
-    script = Script(*[GONE] * 4)
-    watch = Watch(script)
-    watch.wait_for_stream()
-    pauses = [after - before for before, after in pairwise(script.opened_s)]
-    assert all(
-        pause >= least for pause, least in zip(pauses, (0.02, 0.04, 0.05, 0.05), strict=True)
-    )
-    assert watch.supervisor.stop()
-
-
-def broken(_line):
-    raise ZeroDivisionError
-
-
-@pytest.mark.parametrize(
-    ('entry', 'on_error', 'named'),
-    [(('close', KeyError('defect')), None, 'defect'), (GONE, broken, 'ZeroDivisionError')],
-)
-def test_defects_in_closing_and_reporting_end_the_supervisor(entry, on_error, named):
-    script = Script(entry)
-    watch = Watch(script, on_error=on_error)
-    if entry is not GONE:
-        watch.wait_for_stream()
-        script.request_stop()
-    supervisor = watch.wait_for_end()
-    assert supervisor.state is State.FAILED
-    assert named in str(supervisor.failure)
-
-
-def test_a_consumer_that_hangs_can_be_seen_and_does_not_keep_stop_from_returning(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 0.1)
-    entered, release = threading.Event(), threading.Event()
-
-    def hang(_batch):
-        entered.set()
-        release.wait(10)
-
-    supervisor = Watch(Script(), on_batch=hang).supervisor
-    assert entered.wait(5)
-    before_s = supervisor.quiet_s
-    assert not supervisor.stop()
-    assert supervisor.quiet_s > before_s
-    release.set()
-    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 5.0)
-    assert supervisor.stop()
+    assert script.openings == 1
 
 
 @pytest.mark.parametrize('moment_s', [0.0, 0.015, 0.1])
@@ -229,3 +185,27 @@ def test_stop_returns_whenever_it_is_called(monkeypatch, moment_s):
     time.sleep(moment_s)
     assert watch.supervisor.stop()
     assert fake.handles == 0
+
+
+@pytest.mark.parametrize(
+    ('device', 'kind'),
+    [
+        ('davis346', SourceKind.CAMERA),
+        ('virtual', SourceKind.SIMULATED),
+        ('virtual:/tmp/camera.sock', SourceKind.SIMULATED),
+        ('recording.aedat4', SourceKind.RECORDED),
+        ('recording.mcap', SourceKind.RECORDED),
+        ('data/trial_7', SourceKind.RECORDED),
+    ],
+)
+def test_the_name_of_a_device_or_the_path_of_a_recording(device, kind):
+    pytest.importorskip('mixtac_sim.usb.server')
+    assert source_kind(device) is kind
+    expected = RecordedSource if kind is SourceKind.RECORDED else Davis346
+    assert isinstance(make_source(DriverParameters(device=device)), expected)
+
+
+def test_anything_else_is_unknown():
+    with pytest.raises(UnknownDeviceError) as error:
+        make_source(DriverParameters(device='nonsense'))
+    assert 'nonsense' in str(error.value)

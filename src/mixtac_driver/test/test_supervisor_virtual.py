@@ -15,7 +15,6 @@ from virtual_scene import Scene
 
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.writes import register_writes
-from mixtac_driver.errors import NoAnswerError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_sim.usb.faults import Fault, FaultKind
@@ -123,14 +122,6 @@ def test_lesser_faults_do_not_end_the_stream(rig, fault):
     rig.check()
 
 
-def test_a_reset_of_the_clock_does_not_end_the_stream(rig):
-    rig.device.restart_clock()
-    rig.wait_until(lambda: rig.camera.clock_resets == 1)
-    rig.wait_for_stream()
-    assert rig.supervisor.failures == 0
-    rig.check()
-
-
 def test_time_that_garbage_threw_ahead_is_not_published(rig):
     rig.device.feed(np.array([GARBAGE_WRAP], np.uint16))
     rig.wait_until(lambda: rig.supervisor.reconnects)
@@ -165,15 +156,4 @@ def test_another_camera_in_its_place_is_taken_and_identified(rig):
     rig.wait_until(lambda: rig.supervisor.reconnects)
     assert 'DisconnectedError' in rig.supervisor.failures_by_kind
     assert rig.camera.identity.serial == 'V0000099'
-    rig.check()
-
-
-def test_camera_whose_requests_find_no_answer_is_opened_anew(rig):
-    rig.device.inject(Fault(FaultKind.TIMEOUT_CONTROL))
-    with pytest.raises(NoAnswerError):
-        rig.camera.apply(DriverParameters(aps_exposure=9999))
-    rig.wait_until(lambda: 'NoAnswerError' in rig.supervisor.failures_by_kind)
-    rig.device.clear_faults()
-    rig.wait_until(lambda: rig.supervisor.reconnects)
-    assert rig.camera.control.parameters.aps_exposure == 7000
     rig.check()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from mixtac_core.node.parameters import specs
@@ -40,6 +40,11 @@ COUNTERS = {
 """64-bit counters of the camera since its logic was reset, by name."""
 LOST = ('dropped', 'external input dropped', 'dvs dropped')
 """Counters of unintended drops: full buffers, and a blocked path to the host."""
+
+
+def dropped(statistics: Mapping[str, int]) -> int:
+    """Return how many data the camera dropped since its logic was reset, 0 while it is closed."""
+    return sum(statistics.get(name, 0) for name in LOST)
 
 
 def read_64(protocol: Protocol, module: int, parameter: int) -> int:

@@ -30,11 +30,10 @@ from mixtac_core.events.readings import (
     inertial_samples,
 )
 from mixtac_driver.davis346.model import Geometry
-from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words, drop_items
+from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words
 from mixtac_driver.decode.state import DecoderCounters, new_buffers
-from mixtac_driver.errors import DriverError
-from mixtac_driver.usb.transport import Gap, Octets
 
+Octets = bytes | bytearray | memoryview | NDArray[Any]
 DEFAULT_CAPACITY = 32768
 WORD = np.dtype('<u2')
 
@@ -72,9 +71,8 @@ class StreamDecoder:
         self._events = Events(b.t, x, y, b.polarity.view(np.bool_))
         self._half_word = b''
         self._resets = self._held = 0
-        self._busy = self.waiting = False
-        # The first calls compile, or load compiled code: do it now, before data arrive.
-        drop_items(b)
+        self.waiting = False
+        # The first call compiles, or loads compiled code: do it now, before data arrive.
         decode_words(self._words(b'', short_packet=True), 0, 0, b)
 
     @property
@@ -88,9 +86,9 @@ class StreamDecoder:
         return int(self._state['time'])
 
     def push(
-        self, data: Octets, *, short_packet: bool = True, until_us: int = 0, gap: Gap | None = None
+        self, data: Octets, *, short_packet: bool = True, until_us: int = 0
     ) -> Iterator[DecodedBatch]:
-        """Decode the bytes of one transfer.
+        """Decode the bytes of one transfer; take all batches before the next one.
 
         Args:
             data: Bytes as they came.
@@ -98,57 +96,27 @@ class StreamDecoder:
                 full to the last byte, so that its last word may be split.
             until_us: Time before which no batch is due [us, camera clock]: what is decoded stays
                 for the next call, unless it holds a frame.
-            gap: What was lost before the data. Items in progress and the row address are dropped;
-                time continues over the gap.
 
         Yields:
-            Batches: one without `until_us`, more after gaps, bursts and resets of the clock.
-
-        Raises:
-            DriverError: Not all batches of the previous transfer were taken.
+            Batches: one without `until_us`, more after bursts and resets of the clock.
         """
-        if self._busy:
-            raise DriverError('take all batches of a transfer before pushing the next one')
-        if gap is not None and gap.size:
-            if self.waiting:
-                yield from self.push(b'')
-            self._skip(gap)
-            until_us = 0 if gap.resets else until_us
-        self._busy = True
         words = self._words(data, short_packet=short_packet)
         i, n, reason = 0, self._held, FULL
         self._held, self.waiting = 0, False
-        try:
-            while reason != DONE:
-                frames: tuple[Frame, ...] = ()
+        while reason != DONE:
+            frames: tuple[Frame, ...] = ()
+            i, n, reason = decode_words(words, i, n, self._buffers)
+            while reason == FRAME:
+                frames += (self._frame(),)
                 i, n, reason = decode_words(words, i, n, self._buffers)
-                while reason == FRAME:
-                    frames += (self._frame(),)
-                    i, n, reason = decode_words(words, i, n, self._buffers)
-                if reason == DONE and not frames and self.time_us < until_us:
-                    self._held, self.waiting = n, True
-                    break
-                yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
-                if reason == RESET:
-                    self._resets += 1
-                    until_us = 0
-                n = 0
-        finally:
-            # Also where the batches are not all taken: what is left of them is dropped.
-            self._busy = False
-
-    def _skip(self, gap: Gap) -> None:
-        state = self._state
-        drop_items(self._buffers)
-        self._half_word = b''
-        state['row'] = -1
-        if gap.resets:
-            state['wrap_base'] = state['time'] = 0
-            self._resets += gap.resets
-        if gap.wraps:
-            state['wrap_base'] += gap.wraps * 0x8000
-            state['time'] = state['wrap_base']
-        self._counters['bytes_lost'] += gap.size
+            if reason == DONE and not frames and self.time_us < until_us:
+                self._held, self.waiting = n, True
+                break
+            yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
+            if reason == RESET:
+                self._resets += 1
+                until_us = 0
+            n = 0
 
     def _words(self, data: Octets, *, short_packet: bool) -> NDArray[np.uint16]:
         octets = np.frombuffer(data, np.uint8)

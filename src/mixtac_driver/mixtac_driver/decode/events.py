@@ -19,24 +19,25 @@ from numba import int64, njit, uint8, uint16, uint64
 
 BLOCK = 256
 """Words that `take_block` takes at once."""
-_ROW = (0, 0xFFFF0000, 1)
-_EVENT = (1, 0xFFFFFFFF, 0)
-_STAMP = (0, 0x0000FFFF, 0x10000)
-_KINDS = (_EVENT, _ROW, _EVENT, _EVENT, *[_EVENT] * 4, *[_STAMP] * 8)
-_ADVANCE, _KEEP, _SCALE = np.array(_KINDS, np.uint64).T.copy()
-"""Effect of a word of a block, by its bits 15:12. The output advances by _ADVANCE. The header, time
-stamp (bits 31:16) and row (15:0) of the next events, becomes `header & _KEEP + word * _SCALE`."""
+# Effect of a word by its bits 15:12: a row is 1, an event 2 or 3, a time stamp 8 .. 15. The header
+# holds the time stamp (bits 31:16) and the row (15:0) of the next events.
+_ADVANCE = np.array([1, 0, *[1] * 6, *[0] * 8], np.uint64)
+"""Number of events that a word adds to the output."""
+_KEEP = np.array([0xFFFFFFFF, 0xFFFF0000, *[0xFFFFFFFF] * 6, *[0x0000FFFF] * 8], np.uint64)
+"""Bits of the header that stay."""
+_SCALE = np.array([0, 1, *[0] * 6, *[0x10000] * 8], np.uint64)
+"""Factor by which a word is multiplied before it is added to the header."""
 Words = Any
 Record = Any
 Columns = Any
 
 
 @njit(nogil=True, forceinline=True)
-def _survey(words: Words, start: int, rows: int, columns: int) -> tuple[bool, int]:
-    """Return whether a block holds event words inside the array only, and its time stamps."""
+def _is_usual(words: Words, start: int, rows: int, columns: int) -> bool:
+    """Return whether a block holds event words inside the array only."""
     # 16 bits throughout: the compiler then handles 16 words or more per instruction.
     last_row, last_column = uint16(rows - 1), uint16(columns - 1)
-    unusual = stamp_count = uint16(0)
+    unusual = uint16(0)
     for k in range(uint64(start), uint64(start + BLOCK)):
         word = words[k]
         row, column = uint16(word - 0x1000), uint16((word & 0xEFFF) - 0x2000)
@@ -44,8 +45,8 @@ def _survey(words: Words, start: int, rows: int, columns: int) -> tuple[bool, in
         not_event = uint16(max(column, last_column) - last_column)
         not_stamp = uint16(max(word, uint16(0x8000)) - word)
         unusual = uint16(unusual | min(not_row, not_event, not_stamp))
-        stamp_count = uint16(stamp_count + (word >> 15))
-    return unusual == 0, int64(stamp_count)
+    usual: bool = unusual == 0
+    return usual
 
 
 @njit(nogil=True, forceinline=True)
@@ -65,8 +66,7 @@ def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Colu
     Returns:
         Events in the output; -1 if the words have to be taken one by one. Nothing changed then.
     """
-    usual, stamp_count = _survey(words, start, s.dvs_rows, s.dvs_columns)
-    if not usual or s.row < 0:
+    if s.row < 0 or not _is_usual(words, start, s.dvs_rows, s.dvs_columns):
         return -1
     t_out, row_out, column_out, polarity_out = out
     first, end, late = uint64(n), uint64(n), uint64(0)
@@ -96,8 +96,6 @@ def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Colu
     s.time = offset + int64(header >> uint64(16))
     s.row = int64(header & uint64(0xFFF))
     c.events += events
-    c.timestamps += stamp_count
-    c.rows += BLOCK - stamp_count - events
     return n + events
 
 
@@ -118,21 +116,13 @@ def take_event_word(word: int, n: int, s: Record, c: Record, out: Columns) -> in
     kind, address = word >> 12, word & 0xFFF
     if kind >= 8:
         stamp = s.wrap_base + (word & 0x7FFF)
-        if stamp < s.time:
-            c.timestamps_backwards += 1
-        else:
-            c.timestamps += 1
-            s.time = stamp
+        c.words_unexpected += stamp < s.time
+        s.time = max(s.time, stamp)
     elif kind == 1:
-        if address < s.dvs_rows:
-            c.rows += 1
-            s.row = address
-        else:
-            c.rows_outside += 1
-    elif address >= s.dvs_columns:
-        c.events_outside += 1
-    elif s.row < 0:
-        c.events_without_row += 1
+        c.words_unexpected += address >= s.dvs_rows
+        s.row = address if address < s.dvs_rows else s.row
+    elif address >= s.dvs_columns or s.row < 0:
+        c.words_unexpected += 1
     else:
         c.events += 1
         t_out, row_out, column_out, polarity_out = out

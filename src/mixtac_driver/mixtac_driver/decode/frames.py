@@ -52,7 +52,7 @@ def frame_start(is_global: bool, s: Record, c: Record) -> None:
 def frame_exposure(data: int, s: Record, c: Record) -> None:
     """Take 10 more bits of the exposure in ADC cycles, lowest bits first."""
     if not s.frame_open or s.exposure_words >= 3:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
         return
     s.exposure_cycles |= data << 10 * s.exposure_words
     s.exposure_words += 1
@@ -62,7 +62,7 @@ def frame_exposure(data: int, s: Record, c: Record) -> None:
 def frame_region(is_high: bool, data: int, s: Record, c: Record) -> None:
     """Take a byte of start column, start row, end column or end row, high byte first."""
     if not s.frame_open or s.roi_values >= 4:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
     elif is_high:
         s.roi_high = data << 8
     else:
@@ -77,7 +77,7 @@ def _clip_axis(axis: int, size: int, s: Record, c: Record) -> int:
     """Correct start and end of one axis of the region; return its length."""
     start, end = s.roi[axis], s.roi[axis + 2]
     if start >= size or end >= size or end < start:
-        c.roi_outside += 1
+        c.words_unexpected += 1
         start = start if start < size else 0
         end = end if start <= end < size else size - 1
         s.roi[axis] = start
@@ -100,12 +100,12 @@ def _set_region(s: Record, c: Record) -> None:
 def column_start(column_type: int, s: Record, c: Record) -> None:
     """Start a column of RESET_COLUMN or SIGNAL_COLUMN samples."""
     if not s.frame_open:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
         return
     column, resets = s.columns_done[column_type], s.columns_done[RESET_COLUMN]
     no_reset = column_type == SIGNAL_COLUMN and column >= resets
     if s.roi_values < 4 or no_reset or column >= s.columns:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
         s.frame_broken = 1
         s.column_type = NO_COLUMN
         return
@@ -164,8 +164,7 @@ def frame_samples(words: Words, start: int, s: Record, c: Record, p: Record) -> 
     stored = i
     while i < size and words[uint64(i)] >> 12 == 4:
         i += 1
-    c.samples += i - start
-    c.samples_unexpected += i - stored
+    c.words_unexpected += i - stored
     return i
 
 
@@ -173,7 +172,7 @@ def frame_samples(words: Words, start: int, s: Record, c: Record, p: Record) -> 
 def column_end(s: Record, c: Record) -> None:
     """Finish a column; one with samples missing breaks the frame."""
     if s.column_type == NO_COLUMN:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
         return
     s.frame_broken |= s.column_fill != s.column_size
     s.columns_done[s.column_type] += 1
@@ -184,7 +183,7 @@ def column_end(s: Record, c: Record) -> None:
 def frame_mark(is_start: bool, s: Record, c: Record) -> None:
     """Take the time as start or end of the exposure."""
     if not s.frame_open:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
     elif is_start:
         s.exposure_start = s.time
     else:
@@ -195,7 +194,7 @@ def frame_mark(is_start: bool, s: Record, c: Record) -> None:
 def frame_end(s: Record, c: Record) -> bool:
     """Finish a frame; return whether it is complete."""
     if not s.frame_open:
-        c.aps_unexpected += 1
+        c.words_unexpected += 1
         return False
     resets, signals = s.columns_done[RESET_COLUMN], s.columns_done[SIGNAL_COLUMN]
     if s.frame_broken or s.roi_values < 4 or resets != s.columns or signals != s.columns:
@@ -205,7 +204,6 @@ def frame_end(s: Record, c: Record) -> bool:
     s.column_type = NO_COLUMN
     s.frame_end = s.time
     if s.exposure_start < 0 or s.exposure_end < s.exposure_start:
-        c.frames_without_exposure += 1
         s.exposure_start = s.frame_start
         s.exposure_end = s.frame_end
     c.frames += 1

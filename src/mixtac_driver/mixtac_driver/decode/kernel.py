@@ -89,7 +89,7 @@ def _next_byte(index: int, info: int) -> int:
 def _imu_info(data: int, s: Record, c: Record, r: Record) -> None:
     """Take the info byte."""
     if s.imu_index != IMU_AWAITS_INFO:
-        c.imu_unexpected += 1
+        c.words_unexpected += 1
         _imu_drop(s, c)
         return
     s.imu_info = data
@@ -106,7 +106,7 @@ def _imu_info(data: int, s: Record, c: Record, r: Record) -> None:
 def _imu_byte(data: int, s: Record, c: Record, r: Record) -> None:
     """Take one byte of the payload."""
     if s.imu_index < 0 or s.imu_index >= IMU_BYTES:
-        c.imu_unexpected += 1
+        c.words_unexpected += 1
         return
     r.imu_raw[r.imu_count, s.imu_index] = data
     s.imu_index = _next_byte(s.imu_index + 1, s.imu_info)
@@ -116,7 +116,7 @@ def _imu_byte(data: int, s: Record, c: Record, r: Record) -> None:
 def _imu_end(s: Record, c: Record, r: Record) -> None:
     """Finish the sample; its time is that of the end word."""
     if s.imu_index == IMU_OUTSIDE:
-        c.imu_unexpected += 1
+        c.words_unexpected += 1
         return
     if s.imu_index != IMU_BYTES:
         _imu_drop(s, c)
@@ -165,9 +165,7 @@ def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
     elif 14 <= code <= 15:
         frame_mark(code == 14, s, c)
     else:
-        c.specials_unknown += 1
-        return DONE
-    c.specials += 1
+        c.words_unexpected += 1
     return reason
 
 
@@ -184,9 +182,7 @@ def _take_data(word: int, s: Record, c: Record, r: Record) -> None:
     elif 0x60 <= code <= 0x63:
         frame_exposure(word & 0x3FF, s, c)
     else:
-        c.misc_unknown += 1
-        return
-    c.misc += 1
+        c.words_unexpected += 1
 
 
 @njit(cache=True, nogil=True)
@@ -227,20 +223,12 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
         elif kind == 0:
             reason = _take_special(word, s, c, r)
         elif word == 0x7000:
-            c.timestamps_backwards += 1
+            c.words_unexpected += 1
         elif kind == 7:
             s.wrap_base += (word & 0xFFF) * 0x8000
             s.time = s.wrap_base
-            c.wraps += 1
         else:
             _take_data(word, s, c, r)
         i += 1
     c.words += i - first
     return i, n, reason
-
-
-@njit(cache=True, nogil=True)
-def drop_items(b: Buffers) -> None:
-    """Drop the frame and the inertial sample in progress."""
-    frame_drop(b.state[0], b.counters[0])
-    _imu_drop(b.state[0], b.counters[0])

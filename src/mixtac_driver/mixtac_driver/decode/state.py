@@ -38,67 +38,30 @@ READINGS_CAPACITY = 256
 class DecoderCounters:
     """Counts of decoded, dropped and unknown data since the decoder was created.
 
-    Every word counts in `words` and in exactly one of the counters of events, rows, timestamps,
-    wraps, resets, specials, samples and miscellaneous words. The other counters describe
-    the result for these words.
-
     Attributes:
         words: Words decoded.
         events: Events decoded.
-        events_outside: Events dropped because their column is outside the pixel array.
-        events_without_row: Events dropped because no row address preceded them.
-        rows: Row addresses.
-        rows_outside: Row addresses ignored because they are outside the pixel array.
-        timestamps: Time stamps accepted.
-        timestamps_backwards: Stamps that would set the time back, and wraps by zero; both ignored.
-        wraps: Wraps of the 15-bit time.
-        resets: Resets of the camera's clock.
-        specials: Known special words except resets.
-        specials_unknown: Special words without a known meaning.
-        edges: Edges of the external input and the generator.
-        samples: Frame samples.
-        samples_unexpected: Frame samples outside a column or beyond its end.
-        misc: Known data words of frames and inertial samples.
-        misc_unknown: Data words without a known meaning.
-        aps_unexpected: Frame words, except samples, that do not belong where they were.
         frames: Frames decoded.
-        frames_dropped: Frames dropped because they were incomplete.
-        frames_without_exposure: Frames decoded whose exposure times had to be estimated.
-        roi_outside: Frame regions corrected because they exceed the pixel array.
         imu: Inertial samples decoded.
+        edges: Edges of the external input and the generator.
+        resets: Resets of the camera's clock.
+        words_unexpected: Words ignored because they are unknown, name no pixel of the array, do not
+            belong where they are, or would set the time back.
+        frames_dropped: Frames dropped because they were incomplete.
         imu_dropped: Inertial samples dropped because they were incomplete.
-        imu_unexpected: Inertial words that do not belong where they were.
         bytes_dropped: Half words dropped at the end of short packets.
-        bytes_lost: Bytes lost before they reached the decoder, as reported to `skip`.
     """
 
     words: int = 0
     events: int = 0
-    events_outside: int = 0
-    events_without_row: int = 0
-    rows: int = 0
-    rows_outside: int = 0
-    timestamps: int = 0
-    timestamps_backwards: int = 0
-    wraps: int = 0
-    resets: int = 0
-    specials: int = 0
-    specials_unknown: int = 0
-    edges: int = 0
-    samples: int = 0
-    samples_unexpected: int = 0
-    misc: int = 0
-    misc_unknown: int = 0
-    aps_unexpected: int = 0
     frames: int = 0
-    frames_dropped: int = 0
-    frames_without_exposure: int = 0
-    roi_outside: int = 0
     imu: int = 0
+    edges: int = 0
+    resets: int = 0
+    words_unexpected: int = 0
+    frames_dropped: int = 0
     imu_dropped: int = 0
-    imu_unexpected: int = 0
     bytes_dropped: int = 0
-    bytes_lost: int = 0
 
 
 COUNTERS = np.dtype([(each.name, np.int64) for each in fields(DecoderCounters)], align=True)

@@ -1,24 +1,31 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The driver node: publishes the data of a camera as ROS topics."""
+"""The driver node: publishes the data of a camera as ROS topics, and offers its services."""
 
 from __future__ import annotations
 
+import contextlib
 import time
 from functools import partial
+from typing import Any
 
 from rclpy.node import Node
+from sensor_msgs.srv import SetCameraInfo
+from std_srvs.srv import Trigger
 
 from mixtac_core.events.codec import warm_up
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import Frame, InertialSamples
 from mixtac_core.node import topics
-from mixtac_core.node.base_node import BaseNode, declare, run
+from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_core.node.files import state_file
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.camera_info import CalibratedCamera
+from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.davis346.model import Identity
+from mixtac_driver.errors import DriverError, StreamError, UsbError
 from mixtac_driver.node.publishers import (
     ClockPublisher,
     EdgePublisher,
@@ -26,15 +33,130 @@ from mixtac_driver.node.publishers import (
     FramePublisher,
     InertialPublisher,
 )
-from mixtac_driver.node.services import DriverServices
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import PixelCounter, PixelMask, hot_pixels, save_mask
 from mixtac_driver.pixels import warm_up as warm_up_mask
-from mixtac_driver.source import SourceKind, make_source, source_kind
-from mixtac_driver.supervisor import Supervisor
+from mixtac_driver.supervisor import Source, SourceKind, Supervisor, make_source, source_kind
 
 CLOCK_PERIOD_S = 1.0
+"""Period of `camera_clock` [s]."""
+MARGIN_S = 1.0
+"""Additional time allowed for a count [s]."""
+LISTED_PIXELS = 20
+"""Most hot pixels that an answer lists."""
+
+
+class DriverServices:
+    """Offers `~/snapshot`, `~/reset_timestamps`, `~/find_hot_pixels` and `~/set_camera_info`.
+
+    They run in the executor's thread; a count waits there, for a bounded time, for the decoding
+    thread.
+
+    Args:
+        node: An rclpy node.
+        source: The source.
+        settings: Its settings.
+        calibration: Its calibration.
+    """
+
+    def __init__(
+        self,
+        node: Any,  # noqa: ANN401
+        source: Source,
+        settings: DriverSettings,
+        calibration: CalibratedCamera,
+    ) -> None:
+        self._source, self._settings, self._calibration = source, settings, calibration
+        self._counter: PixelCounter | None = None
+        offer = partial(node.create_service, Trigger)
+        offer('~/snapshot', answering(lambda _: self.snapshot()))
+        offer('~/reset_timestamps', answering(lambda _: self.reset_timestamps()))
+        offer('~/find_hot_pixels', answering(lambda _: self.find_hot_pixels()))
+        node.create_service(SetCameraInfo, '~/set_camera_info', self.set_camera_info)
+
+    def watch(self, batch: CameraBatch) -> None:
+        """Count the events of a batch, before they are masked, while they are awaited."""
+        counter = self._counter
+        if counter is not None:
+            counter.add(batch)
+
+    def snapshot(self) -> str:
+        """Request one frame, unless frames are taken continuously.
+
+        Raises:
+            DriverError: The camera is closed, or the request failed.
+        """
+        self._control('no frame can be requested').request_frame()
+        return 'the next frame is published on image_raw'
+
+    def reset_timestamps(self) -> str:
+        """Set the camera's clock to zero; published time continues.
+
+        Raises:
+            DriverError: There is no stream, or the request failed.
+        """
+        self._control('its clock cannot be reset').reset_timestamps()
+        return 'camera clock set to zero; published time continues'
+
+    def find_hot_pixels(self) -> str:
+        """Count events; mask the hot pixels, and those of the mask file.
+
+        Pixels that were found before and are quiet now are no longer masked.
+
+        Raises:
+            DriverError: There is no stream, or a request failed; the mask stays unchanged.
+            MixtacError: The file of the mask cannot be written; the pixels are masked.
+        """
+        p, before = self._settings.parameters, self._settings.mask
+        identity = self._source.status().identity
+        if identity is None:
+            raise StreamError('no camera was opened yet', remedy='attach it and try again')
+        size = identity.geometry.event_size
+        # Pixels that the camera masks cannot be counted.
+        self._settings.use_mask(before, self._source.apply, in_camera=False)
+        try:
+            counter = self._counter = PixelCounter(round(p.hot_pixels_duration * 1e6), size)
+            if not counter.done.wait(p.hot_pixels_duration + MARGIN_S):
+                raise StreamError(
+                    f'too few data within {p.hot_pixels_duration + MARGIN_S:.1f} s',
+                    remedy='see /diagnostics for the state of the camera',
+                )
+            found = hot_pixels(counter.counts, p.hot_pixels_duration)
+            mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
+            self._settings.use_mask(mask, self._source.apply)
+        except MixtacError:
+            # Where the camera does not accept the filters, the host masks these pixels as well.
+            with contextlib.suppress(UsbError):
+                self._settings.use_mask(before, self._source.apply)
+            raise
+        finally:
+            self._counter = None
+        if p.hot_pixels_file:
+            save_mask(mask, str(state_file(p.hot_pixels_file)))
+        listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
+        more = ', ...' if len(found) > LISTED_PIXELS else ''
+        return (
+            f'{len(found)} hot pixels{": " if found else ""}{listed}{more}; {len(mask.pixels)} '
+            f'masked, {len(mask.in_camera)} of them by the camera'
+        )
+
+    def set_camera_info(self, request: Any, response: Any) -> Any:  # noqa: ANN401
+        """Store a calibration and use it from now on (sensor_msgs/SetCameraInfo)."""
+        try:
+            path = self._calibration.save(request.camera_info)
+            response.success, response.status_message = True, f'wrote {path}'
+        except MixtacError as error:
+            response.success, response.status_message = False, str(error)
+        return response
+
+    def _control(self, otherwise: str) -> CameraControl:
+        control = self._source.control
+        if control is None:
+            device = self._settings.parameters.device
+            raise DriverError(f'{device} is a recording: {otherwise}')
+        return control
 
 
 class DriverNode(BaseNode, Node):  # type: ignore[misc]

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,73 +25,19 @@ LARGEST_STEP = 4.0
 """Largest factor by which one frame changes the exposure."""
 DEAD_BAND = 0.08
 """Relative change below which the exposure stays."""
-SMOOTHING = 0.5
-"""Weight of the latest frame."""
 
 
-def right_exposure(image: NDArray[np.uint16], exposure_us: float, target: float) -> float:
-    """Return the exposure that would have brought a frame to the target [us].
+def right_exposure(image: NDArray[np.uint16], exposure_us: float, p: CameraParameters) -> int:
+    """Return the exposure that would have brought a frame to the wanted brightness [us].
 
     Args:
         image: `uint16`, any shape, 0 .. 1023.
         exposure_us: Exposure of the frame [us].
-        target: Wanted mean, 0 .. 1 of full scale.
+        p: Wanted brightness, shortest and longest exposure (`aps_auto_exposure_*`).
     """
-    factor = target * FULL_SCALE / max(float(image.mean()), 1e-3)
-    return exposure_us * min(max(factor, 1 / LARGEST_STEP), LARGEST_STEP)
-
-
-class AutoExposure:
-    """Follows the frames of one camera.
-
-    Args:
-        p: Exposure to start with, target and limits (`aps_exposure`, `aps_auto_exposure_*`).
-
-    Attributes:
-        exposure_us: Exposure that was set last [us].
-    """
-
-    def __init__(self, p: CameraParameters) -> None:
-        self._target = p.aps_auto_exposure_target
-        self._limits = p.aps_auto_exposure_minimum, p.aps_auto_exposure_maximum
-        self.exposure_us = self._limited(p.aps_exposure)
-        self._wish = math.log(self.exposure_us)
-
-    def update(self, image: NDArray[np.uint16], exposure_us: float) -> int | None:
-        """Return the exposure to set after a frame [us], or None if it may stay.
-
-        Until `accept` is called the exposure counts as unchanged: if the camera is busy, the next
-        frame leads to another request.
-
-        Args:
-            image: `uint16`, 0 .. 1023.
-            exposure_us: Exposure of the frame [us].
-        """
-        right = self._limited(right_exposure(image, exposure_us, self._target))
-        self._wish += SMOOTHING * (math.log(right) - self._wish)
-        wish = self._limited(math.exp(self._wish))
-        change = abs(math.log(wish / self.exposure_us))
-        if change == 0 or (change < DEAD_BAND and wish not in self._limits):
-            return None
-        return wish
-
-    def accept(self, exposure_us: int) -> None:
-        """Note that the camera accepted this exposure [us]."""
-        self.exposure_us = exposure_us
-
-    def _limited(self, exposure_us: float) -> int:
-        minimum_us, maximum_us = self._limits
-        return round(min(max(exposure_us, minimum_us), maximum_us))
-
-
-_AUTO_EXPOSURE = (
-    'aps_exposure',
-    'aps_auto_exposure',
-    'aps_auto_exposure_target',
-    'aps_auto_exposure_minimum',
-    'aps_auto_exposure_maximum',
-)
-"""Parameters that restart automatic exposure when they change."""
+    factor = p.aps_auto_exposure_target * FULL_SCALE / max(float(image.mean()), 1e-3)
+    right_us = exposure_us * min(max(factor, 1 / LARGEST_STEP), LARGEST_STEP)
+    return round(min(max(right_us, p.aps_auto_exposure_minimum), p.aps_auto_exposure_maximum))
 
 
 class DriverSettings:
@@ -115,12 +60,13 @@ class DriverSettings:
         self.parameters = parameters
         self.mask = self.file_mask = load_mask(parameters.dvs_pixel_mask)
         self._size: tuple[int, int] | None = None
-        self._auto_exposure = AutoExposure(parameters) if parameters.aps_auto_exposure else None
+        # Set by automatic exposure [us]; None: that of the parameters.
+        self._exposure_us: int | None = None
         self._lock = threading.Lock()
 
     def camera_settings(self) -> tuple[DriverParameters, PixelFilter]:
         """Return the settings of the camera."""
-        return _with_exposure(self.parameters, self._auto_exposure), self.mask.in_camera
+        return _with_exposure(self.parameters, self._exposure_us), self.mask.in_camera
 
     def use_size(self, size: tuple[int, int]) -> None:
         """Check the mask against the pixel array of a camera that was opened.
@@ -154,12 +100,11 @@ class DriverSettings:
                 if self._size is not None:
                     mask.check_size(self._size)
                 mask.dropped = self.mask.dropped
-            auto_exposure = self._auto_exposure
-            if any(getattr(parameters, name) != getattr(old, name) for name in _AUTO_EXPOSURE):
-                auto_exposure = AutoExposure(parameters) if parameters.aps_auto_exposure else None
-            apply(_with_exposure(parameters, auto_exposure), mask.in_camera)
+            kept = parameters.aps_auto_exposure and parameters.aps_exposure == old.aps_exposure
+            exposure_us = self._exposure_us if kept else None
+            apply(_with_exposure(parameters, exposure_us), mask.in_camera)
             self.parameters, self.mask, self.file_mask = parameters, mask, file_mask
-            self._auto_exposure = auto_exposure
+            self._exposure_us = exposure_us
 
     def use_mask(self, mask: PixelMask, apply: Apply, *, in_camera: bool = True) -> None:
         """Mask other pixels.
@@ -173,7 +118,7 @@ class DriverSettings:
             UsbError: A request to the camera failed.
         """
         with self._lock:
-            parameters = _with_exposure(self.parameters, self._auto_exposure)
+            parameters, _ = self.camera_settings()
             apply(parameters, mask.in_camera if in_camera else ())
             mask.dropped = self.mask.dropped
             self.mask = mask
@@ -190,12 +135,12 @@ class DriverSettings:
         if exposure_us <= 0 or not self._lock.acquire(blocking=False):
             return
         try:
-            auto_exposure = self._auto_exposure
-            if auto_exposure is None:
+            if not self.parameters.aps_auto_exposure:
                 return
-            wanted_us = auto_exposure.update(frame.image, exposure_us)
-            if wanted_us is not None and control.set_exposure(wanted_us):
-                auto_exposure.accept(wanted_us)
+            now_us = self.camera_settings()[0].aps_exposure
+            right_us = right_exposure(frame.image, exposure_us, self.parameters)
+            if abs(right_us - now_us) > DEAD_BAND * now_us and control.set_exposure(right_us):
+                self._exposure_us = right_us
         except UsbError:
             # The thread that reads the data reports failures of the camera.
             pass
@@ -203,6 +148,6 @@ class DriverSettings:
             self._lock.release()
 
 
-def _with_exposure(p: DriverParameters, auto_exposure: AutoExposure | None) -> DriverParameters:
-    """Return parameters with the exposure that automatic exposure has found."""
-    return p if auto_exposure is None else replace(p, aps_exposure=auto_exposure.exposure_us)
+def _with_exposure(p: DriverParameters, exposure_us: int | None) -> DriverParameters:
+    """Return parameters with the exposure that automatic exposure has set, if any."""
+    return p if exposure_us is None else replace(p, aps_exposure=exposure_us)

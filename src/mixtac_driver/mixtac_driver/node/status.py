@@ -14,8 +14,7 @@ from mixtac_driver.camera import SourceStatus
 from mixtac_driver.davis346.control import LOST
 from mixtac_driver.errors import DriverError
 from mixtac_driver.node.settings import DriverSettings
-from mixtac_driver.source import Source, SourceKind, source_kind
-from mixtac_driver.supervisor import State, Supervisor
+from mixtac_driver.supervisor import Source, SourceKind, State, Supervisor, source_kind
 
 QUIET_S = 5.0
 """Time without data [s] from which a stream that counts as alive is reported nevertheless."""

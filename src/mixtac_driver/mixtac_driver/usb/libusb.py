@@ -8,7 +8,8 @@ only a few milliseconds of data at full rate, and a Python process can be busy f
 the kernel fills the queued reads: 128 reads of 64 KiB hold 8 MiB, more than 100 ms at the sensor's
 highest rate of about 65 MB/s. There is no reader thread: the consumer collects what has arrived
 whenever it asks, because waking a thread for every transfer would cost more than the transfer
-itself.
+itself. A read is queued again once the consumer has its data: where the consumer is too slow, all
+reads are full, and the camera itself drops and counts events.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import ctypes
 import errno
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +27,7 @@ from usb.core import USBError
 
 from mixtac_driver.errors import HungReadError, UsbError
 from mixtac_driver.usb.protocol import usb_failure
-from mixtac_driver.usb.transport import Transfer, TransferQueue
+from mixtac_driver.usb.transport import Transfer, TransportCounters
 
 BULK = 2
 """Type of a bulk transfer (enum libusb_transfer_type)."""
@@ -99,8 +101,6 @@ class BulkTransfer:
         self._buffer = (ctypes.c_ubyte * size)()
         self._address = ctypes.addressof(self._buffer)
         self._pointer = port.lib.libusb_alloc_transfer(0)
-        if not self._pointer:
-            raise USBError('no memory for a transfer', -11, errno.ENOMEM)
         # Kept here, because ctypes frees a callback without references.
         self._callback = libusb1._libusb_transfer_cb_fn_p(lambda _pointer: on_done(self))  # noqa: SLF001
         self._fields = fields = self._pointer.contents
@@ -149,8 +149,9 @@ def usb_error(code: int) -> USBError:
 
 
 LONGEST_WAIT_S = 0.05
-ROOM_EVERY_S = 0.005
+"""Longest wait for data [s]: a `stop` in another thread ends the wait within it."""
 DRAIN_TIMEOUT_S = 2.0
+"""Longest wait for the kernel to return cancelled reads [s]."""
 
 
 class AsynchronousReader:
@@ -163,9 +164,8 @@ class AsynchronousReader:
         port: The camera, open and claimed.
         endpoint: Address of the data endpoint.
         clear_halt: Clears a stall of the endpoint.
-        transfers: Number of queued reads.
+        transfers: Number of reads.
         transfer_size: Bytes requested per read.
-        queue_size: Limit of received bytes waiting for the consumer.
 
     Attributes:
         counters: Counters since construction.
@@ -179,18 +179,18 @@ class AsynchronousReader:
         *,
         transfers: int = 128,
         transfer_size: int = 65536,
-        queue_size: int = 32 << 20,
     ) -> None:
         self._port, self._clear_halt = port, clear_halt
         self._endpoint = endpoint
         self._count, self._transfer_size = transfers, transfer_size
-        self._queue = TransferQueue(queue_size)
-        self.counters = self._queue.counters
-        self._stopping = threading.Event()
+        self.counters = TransportCounters()
         self._transfers: list[BulkTransfer] = []
-        self._waiting: set[BulkTransfer] = set()
+        self._queued: set[BulkTransfer] = set()
+        self._done: deque[tuple[BulkTransfer, Transfer]] = deque()
         self._failure: USBError | None = None
-        self._looked_s = 0.0
+        self._stopped = False
+        # After `stop` has set `_stopped` under this lock, no read is queued any more.
+        self._submitting = threading.Lock()
 
     def start(self) -> None:
         """Queue the reads at the endpoint.
@@ -198,13 +198,13 @@ class AsynchronousReader:
         Raises:
             UsbError: The kernel does not accept them.
         """
-        try:
-            for _ in range(self._count):
-                self._transfers.append(
-                    BulkTransfer(self._port, self._endpoint, self._transfer_size, self._on_done)
-                )
-            self._submit_all()
-        except USBError as error:
+        for _ in range(self._count):
+            self._transfers.append(
+                BulkTransfer(self._port, self._endpoint, self._transfer_size, self._on_done)
+            )
+        self._submit(*self._transfers)
+        error = self._failure
+        if error is not None:
             self.stop()
             if error.errno == errno.ENOMEM:
                 raise UsbError(
@@ -221,14 +221,15 @@ class AsynchronousReader:
             HungReadError: The kernel does not return the reads and may still write to their memory,
                 which is therefore kept.
         """
-        self._stopping.set()
+        with self._submitting:
+            self._stopped = True
         try:
             self._call_back()
         except USBError as error:
             self._failure = self._failure or error
-        if self._waiting:
+        if self._queued:
             raise HungReadError(
-                f'{len(self._waiting)} USB reads were not returned within {DRAIN_TIMEOUT_S} s',
+                f'{len(self._queued)} USB reads were not returned within {DRAIN_TIMEOUT_S} s',
                 remedy='restart the driver; if this persists, unplug the camera',
             )
         transfers, self._transfers = self._transfers, []
@@ -244,51 +245,42 @@ class AsynchronousReader:
         Raises:
             UsbError: Reading failed, and all data received before were taken.
         """
-        if not self._stopping.is_set() and self._failure is None:
-            self._look(timeout_s)
-        transfer = self._queue.pop()
-        if transfer is None and self._failure is not None and not self._stopping.is_set():
+        if not self._done and not self._stopped and self._failure is None:
+            try:
+                self._port.handle_events(min(timeout_s, LONGEST_WAIT_S))
+            except USBError as error:
+                self._failure = error
+        if self._done:
+            read, transfer = self._done.popleft()
+            self._submit(read)
+            return transfer
+        if self._failure is not None and not self._stopped:
             self._recover(self._failure)
-        return transfer
+        return None
 
-    def _look(self, timeout_s: float) -> None:
-        """Collect finished reads; with a backlog, only make room in the kernel."""
-        now_s = time.monotonic()
-        if len(self._queue):
-            if now_s < self._looked_s + ROOM_EVERY_S:
-                return
-            timeout_s = 0.0
-        self._looked_s = now_s
-        try:
-            self._port.handle_events(min(timeout_s, LONGEST_WAIT_S))
-        except USBError as error:
-            self._failure = error
-
-    def _on_done(self, transfer: BulkTransfer) -> None:
-        self._waiting.discard(transfer)
-        status, data = transfer.status, transfer.data
-        if status == COMPLETED:
-            self._submit_again(transfer)
-        elif status != CANCELLED and self._failure is None:
+    def _on_done(self, read: BulkTransfer) -> None:
+        self._queued.discard(read)
+        status, data = read.status, read.data
+        if status not in (COMPLETED, CANCELLED) and self._failure is None:
             number = _ERRNO.get(status, errno.EIO)
             self._failure = USBError(f'transfer ended with status {status}', None, number)
         # A read that failed or was cancelled may hold data.
         if data:
-            self._queue.put(data, time.time_ns(), short_packet=len(data) < transfer.size)
+            self._done.append((read, self.counters.add(data, full_size=read.size)))
+        elif status == COMPLETED:
+            self._submit(read)
 
-    def _submit_again(self, transfer: BulkTransfer) -> None:
-        if self._stopping.is_set() or self._failure is not None:
-            return
-        try:
-            transfer.submit()
-            self._waiting.add(transfer)
-        except USBError as error:
-            self._failure = error
-
-    def _submit_all(self) -> None:
-        for transfer in self._transfers:
-            transfer.submit()
-            self._waiting.add(transfer)
+    def _submit(self, *reads: BulkTransfer) -> None:
+        for read in reads:
+            with self._submitting:
+                if self._stopped or self._failure is not None:
+                    return
+                self._queued.add(read)
+                try:
+                    read.submit()
+                except USBError as error:
+                    self._queued.discard(read)
+                    self._failure = error
 
     def _recover(self, error: USBError) -> None:
         """Clear a stall of the endpoint.
@@ -296,19 +288,20 @@ class AsynchronousReader:
         Raises:
             UsbError: It was another failure, or there were too many consecutive stalls.
         """
-        self._queue.note_failure(error)
+        self.counters.add_failure(error)
         try:
             self._call_back()
             self._clear_halt()
-            self._failure = None
-            self._submit_all()
         except USBError as failure:
             raise usb_failure(failure, 'reading data') from failure
+        self._failure = None
+        held = {read for read, _ in self._done}
+        self._submit(*(read for read in self._transfers if read not in held))
 
     def _call_back(self) -> None:
         """Cancel the queued reads and take them back."""
         deadline_s = time.monotonic() + DRAIN_TIMEOUT_S
-        for transfer in list(self._waiting):
-            transfer.cancel()
-        while self._waiting and time.monotonic() < deadline_s:
+        for read in list(self._queued):
+            read.cancel()
+        while self._queued and time.monotonic() < deadline_s:
             self._port.handle_events(LONGEST_WAIT_S)

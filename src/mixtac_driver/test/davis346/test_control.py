@@ -12,9 +12,8 @@ from davis_fake import FakeBackend, FakeCamera
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
-from mixtac_driver.davis346.control import COUNTERS, CameraControl, read_64
+from mixtac_driver.davis346.control import COUNTERS, read_64
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.parameters import DriverParameters
 
@@ -35,13 +34,6 @@ def camera(fake):
     with Davis346(backend=FakeBackend(fake)) as camera:
         fake.log.clear()
         yield camera
-
-
-def test_what_did_not_change_is_not_written(camera, fake):
-    camera.apply(DriverParameters())
-    assert fake.writes() == []
-    camera.apply(DriverParameters(aps_exposure=2000, aps_frame_interval=20000))
-    assert fake.writes() == [(2, 12, 60480), (2, 13, 604800)]
 
 
 def test_the_generator_starts_with_its_new_settings_and_stops_before_they_change(camera, fake):
@@ -125,14 +117,6 @@ def test_any_path_of_changes_ends_in_the_registers_of_a_fresh_start(changes):
                 assert changed.registers.get(address, 0) == value, address
 
 
-def test_exposure_alone_is_one_write_and_stays(camera, fake):
-    assert camera.control.set_exposure(1000)
-    assert fake.writes() == [(2, 12, 30240)]
-    assert camera.control.parameters.aps_exposure == 1000
-    with pytest.raises(ParameterError):
-        camera.control.set_exposure(1 << 22)
-
-
 def test_exposure_waits_for_nobody(camera, fake):
     entered, leave = threading.Event(), threading.Event()
 
@@ -157,17 +141,6 @@ def test_a_frame_is_asked_for_only_where_none_come(camera, fake):
     fake.log.clear()
     camera.control.request_frame()
     assert fake.log == [('many', 2), ('write', 2, 4, 1), ('write', 2, 4, 0)]
-
-
-def test_a_closed_camera_takes_settings_and_no_requests():
-    control = CameraControl(DriverParameters())
-    control.apply(DriverParameters(aps_exposure=5))
-    assert control.set_exposure(6)
-    assert control.parameters.aps_exposure == 6
-    assert control.statistics() == {}
-    for request in (control.request_frame, control.reset_timestamps):
-        with pytest.raises(DriverError):
-            request()
 
 
 def test_counters_are_64_bits_upper_half_first():

@@ -11,7 +11,7 @@ from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346 import model as model_module
-from mixtac_driver.errors import ConfigurationError, UnsupportedCameraError
+from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.parameters import DriverParameters
 
 MODULE = """
@@ -91,16 +91,3 @@ def test_a_camera_without_frames_is_not_asked_for_any():
     assert not asked & {(2, 0), (2, 1), (2, 2)}
     assert not {address for address in written if address[0] == 2} - {(2, 4)}
     assert fake.registers[2, 4] == 0
-
-
-def test_behind_a_backend_the_chip_decides():
-    fake = FakeCamera(registers={**SIZES, (6, 1): 1})
-    with Davis346(DriverParameters(device='virtual'), backend=OtherBackend(fake)) as opened:
-        assert opened.identity.model.name == 'davis240'
-
-
-def test_a_model_that_was_not_asked_for_is_refused():
-    fake = FakeCamera(registers={**SIZES, (6, 1): 2})
-    with pytest.raises(UnsupportedCameraError) as error:
-        Davis346(backend=FakeBackend(fake)).open()
-    assert 'DAVIS346B' in error.value.remedy

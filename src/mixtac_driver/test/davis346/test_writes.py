@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.parameters import ParameterError
 from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.biases import DEFAULT_BIASES
@@ -81,29 +78,11 @@ def test_registers_that_the_logic_lacks_are_not_written(identity):
     ('change', 'kind', 'value'),
     [
         ({'aps_exposure': 1 << 22}, ParameterError, '4194304'),
-        ({'aps_frame_interval': -1}, ParameterError, '-1'),
         ({'roi_start_col': 5, 'roi_end_col': 4}, ConfigurationError, '5 .. 4'),
-        ({'aps_roi_end_col': 346}, ParameterError, '346'),
         ({'ApsCas_voltage': 99}, ParameterError, '99'),
-        ({'external_input_pulse_length': 1 << 20}, ParameterError, '1048576'),
-        ({'generator_length': 10}, ConfigurationError, 'generator_interval = 10'),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(identity, change, kind, value):
     with pytest.raises(kind) as error:
         register_writes(DriverParameters(**change), identity)
     assert value in str(error.value)
-
-
-def test_more_pixels_than_there_are_filters_are_left_out(identity):
-    nine = register_writes(DriverParameters(), identity, tuple((k, 1) for k in range(9)))
-    assert nine == register_writes(DriverParameters(), identity, tuple((k, 1) for k in range(8)))
-
-
-def test_regions_are_clipped_to_smaller_arrays(identity):
-    small = replace(identity.geometry, dvs_columns=100, dvs_rows=200)
-    values = {w[:2]: w.value for w in register_writes(LIBCAER, replace(identity, geometry=small))}
-    assert (values[1, 43], values[1, 44]) == (199, 99)
-    assert (values[2, 10], values[2, 11]) == (345, 259)
-    with pytest.raises(MixtacError):
-        register_writes(replace(LIBCAER, roi_start_col=300), replace(identity, geometry=small))

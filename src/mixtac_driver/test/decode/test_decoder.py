@@ -7,7 +7,6 @@ from __future__ import annotations
 import tracemalloc
 
 import numpy as np
-import pytest
 from davis_oracle import Oracle
 from decoder_cases import (
     SETTINGS,
@@ -22,8 +21,6 @@ from hypothesis import strategies as st
 
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_driver.errors import DriverError
-from mixtac_driver.usb.transport import Gap, gap_of
 
 
 def words_of(*words):
@@ -71,21 +68,6 @@ def test_a_reset_makes_everything_due():
     ]
 
 
-def test_bursts_beyond_the_capacity_come_in_several_batches():
-    words = [0x1000, *([0x2000] * 100)]
-    decoder = StreamDecoder(Geometry(), capacity=16)
-    sizes = [len(b.events) for b in decoder.push(np.array(words, '<u2'))]
-    assert sum(sizes) == 100
-    assert max(sizes) <= 16
-
-
-def test_floods_of_edges_and_samples_are_all_kept():
-    imu = [5, 0x5320, 0x5001, 0x5002, 7]
-    found = decode([3] * 1000 + imu * 600)
-    assert len(found.edges) == 1000
-    assert len(found.samples) == 600
-
-
 def test_odd_byte_waits_for_its_half_after_a_full_transfer_and_goes_after_a_short_one():
     data = np.array([0x1005, 0x2007], '<u2').tobytes()
     decoder = StreamDecoder(Geometry())
@@ -97,38 +79,6 @@ def test_odd_byte_waits_for_its_half_after_a_full_transfer_and_goes_after_a_shor
     collected.take(decoder.push(data[2:], short_packet=True))
     assert len(collected.events) == 2
     assert decoder.counters.bytes_dropped == 1
-
-
-def test_next_transfer_is_refused_while_batches_wait():
-    decoder = StreamDecoder(Geometry())
-    batches = decoder.push(b'')
-    next(batches)
-    with pytest.raises(DriverError):
-        next(decoder.push(b''))
-    batches.close()
-    assert next(decoder.push(b''))
-
-
-@SETTINGS
-@given(st.lists(st.integers(0, 0xFFFF), max_size=300), st.integers(0, 300), st.integers(0, 300))
-def test_lost_bytes_keep_the_time_and_do_not_mix_what_they_part(words, a, b):
-    first, last = sorted((a, b))
-    lost = np.array(words[first:last], '<u2').tobytes()
-    decoder = StreamDecoder(Geometry())
-    collected = Collected(decoder)
-    collected.take(decoder.push(np.array(words[:first], '<u2')))
-    gap = gap_of(lost[: len(lost) // 4 * 2]) + gap_of(lost[len(lost) // 4 * 2 :])
-    collected.take(decoder.push(np.array([*words[last:], 0x7001], '<u2'), gap=gap))
-    oracle = Oracle(Geometry()).words([*words, 0x7001])
-    assert decoder.time_us == oracle.t
-    assert collected.times[-1][0] == oracle.resets
-    assert decoder.counters.bytes_lost == len(lost)
-
-
-def test_gap_sums_wraps_since_the_last_reset():
-    assert Gap(2, 5, 0) + Gap(4, 3, 0) == Gap(6, 8, 0)
-    assert Gap(2, 5, 1) + Gap(4, 3, 1) == Gap(6, 3, 2)
-    assert gap_of(np.array([0x7002, 1, 0x7003, 0x8001], '<u2').tobytes()) == Gap(8, 3, 1)
 
 
 def test_transfers_of_events_allocate_little():
@@ -147,12 +97,3 @@ def test_transfers_of_events_allocate_little():
         assert tracemalloc.get_traced_memory()[1] < 20_000
     finally:
         tracemalloc.stop()
-
-
-def test_events_after_lost_bytes_wait_for_a_row():
-    decoder = StreamDecoder(Geometry())
-    collected = Collected(decoder)
-    collected.take(decoder.push(np.array([0x1003, 0x2004], '<u2')))
-    collected.take(decoder.push(np.array([0x2005, 0x1006, 0x2007], '<u2'), gap=Gap(10)))
-    assert [e[2:4] for e in collected.events] == [(3, 4), (6, 7)]
-    assert decoder.counters.events_without_row == 1

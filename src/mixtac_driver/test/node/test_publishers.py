@@ -26,11 +26,9 @@ from mixtac_core.events.readings import (
 from mixtac_core.node import topics
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_driver.camera import CameraBatch, Davis346
-from mixtac_driver.camera_info import CalibratedCamera, CameraCalibration, write_camera_info
 from mixtac_driver.clock import Origin
 from mixtac_driver.node import publishers as edge_publisher
 from mixtac_driver.node.publishers import (
-    ClockPublisher,
     EdgePublisher,
     EventPublisher,
     FramePublisher,
@@ -174,43 +172,3 @@ def test_packets_after_a_pause_begin_where_the_stream_is(node):
     ends = [each.complete_until for each in decoded]
     assert ends == sorted(ends)
     assert meters.packets.total == len(topic.sent)
-
-
-def board(tmp_path):
-    """Write a calibration whose undistorted pixels are the raw ones shifted by (10, 5)."""
-    path = tmp_path / 'davis346.yaml'
-    camera = np.array([[200.0, 0.0, 170.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
-    projection = np.hstack([camera, np.zeros((3, 1))])
-    projection[0, 2] += 10.0
-    projection[1, 2] += 5.0
-    write_camera_info(
-        path,
-        CameraCalibration(
-            'davis346', 346, 260, 'plumb_bob', np.zeros(5), camera, np.eye(3), projection
-        ),
-    )
-    return str(path)
-
-
-def test_events_come_at_undistorted_pixels(node, tmp_path):
-    p = DriverParameters(camerainfo_url=board(tmp_path), undistort_events=True)
-    calibration = CalibratedCamera(p)
-    calibration.use_size((346, 260))
-    publisher = EventPublisher(node, p, topics.EVENTS_RECT, move=calibration.undistort)
-    topic = node.topics['events_rect']
-    topic.listeners = 1
-    x, y = np.array([20, 340, 0], np.uint16), np.array([30, 30, 0], np.uint16)
-    events = Events(np.arange(3, dtype=np.int64), x, y, np.array([True, True, False]))
-    publisher.publish(events, batch(1), (346, 260))
-    publisher.publish(Events.empty(), batch(2000), (346, 260))
-    got = decode_message(read_packet(topic.sent[0])).events
-    assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
-    assert got.t[0] == ORIGIN_US
-
-
-def test_recorded_time_is_published_once_a_millisecond_and_never_back(node):
-    clock = ClockPublisher(node)
-    for offset in (0, 400, 999, 1000, 2500, 2000, 3600):
-        clock.publish(ORIGIN_US + offset)
-    sent = [stamp_to_us(message.clock) - ORIGIN_US for message in node.topics['/clock'].sent]
-    assert sent == [0, 1000, 2500, 3600]

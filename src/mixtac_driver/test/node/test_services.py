@@ -11,19 +11,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip('std_srvs.srv')
+pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from davis_fake import FakeBackend, FakeCamera
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch, Frame
+from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.clock import Origin
-from mixtac_driver.node import services as driver_services
-from mixtac_driver.node.services import DriverServices, NextFrame
+from mixtac_driver.node import driver_node
+from mixtac_driver.node.driver_node import DriverServices
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
@@ -86,15 +86,14 @@ def rig(monkeypatch, tmp_path):
         hot_pixels_file='mask.png',
         camerainfo_url=str(tmp_path / 'davis346.yaml'),
         aps_enabled=False,
-        aps_frame_interval=1000,
     )
     rig = Rig(parameters)
     yield rig
     rig.close()
 
 
-def batch(events, time_us, frames=()):
-    decoded = DecodedBatch(events, frames, NO_SAMPLES, NO_EDGES, time_us, 0)
+def batch(events, time_us):
+    decoded = DecodedBatch(events, (), NO_SAMPLES, NO_EDGES, time_us, 0)
     return CameraBatch(decoded, Origin(5_000_000_000, 0), 0)
 
 
@@ -134,14 +133,13 @@ def test_hot_pixels_are_found_masked_and_saved(rig, tmp_path):
 
 
 def test_without_a_stream_the_mask_stays(rig, monkeypatch):
-    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
+    monkeypatch.setattr(driver_node, 'MARGIN_S', 0.1)
     rig.settings.use_mask(PixelMask([(300, 200)], SIZE), rig.camera.apply)
     rig.camera.open()
     rig.decode(lambda: None)
     answer = rig.node.call('~/find_hot_pixels')
     assert not answer.success
     assert '/diagnostics' in answer.message
-    assert not rig.node.call('~/snapshot').success
     assert rig.fake.registers[1, 12] == 300
     assert rig.settings.mask.pixels == ((300, 200),)
 
@@ -163,27 +161,9 @@ def test_a_calibration_is_stored_and_used(rig):
     assert CalibratedCamera(rig.settings.parameters).calibration.size == SIZE
 
 
-def frame(start_us):
-    image = np.zeros((1, 1), np.uint16)
-    return Frame(image, 0, 0, start_us, start_us, start_us + 10, 0, 0, global_shutter=True)
-
-
-def answer_requests(rig):
-    frames = (frame(rig.time_us),) if ('many', 2) in rig.fake.log else ()
-    rig.services.watch(batch(Events.empty(), rig.time_us, frames))
-
-
-def test_a_snapshot_is_asked_for_and_awaited(rig):
+def test_a_snapshot_requests_a_frame(rig):
+    rig.decode(lambda: None)
+    assert not rig.node.call('~/snapshot').success
     rig.camera.open()
-    rig.decode(lambda: answer_requests(rig))
-    answer = rig.node.call('~/snapshot')
-    assert answer.success, answer.message
-    assert answer.message.startswith('frame of 5.')
-
-
-def test_frames_exposed_before_do_not_count():
-    waiting = NextFrame(5_001_000)
-    waiting.add(batch(Events.empty(), 0, (frame(999),)))
-    assert not waiting.done.is_set()
-    waiting.add(batch(Events.empty(), 0, (frame(1000),)))
-    assert (waiting.done.is_set(), waiting.stamp_us) == (True, 5_001_005)
+    assert rig.node.call('~/snapshot').success
+    assert ('many', 2) in rig.fake.log

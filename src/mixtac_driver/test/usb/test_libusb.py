@@ -58,7 +58,7 @@ def test_data_come_in_order_and_the_reads_wait_again(make_rig):
     assert [transfer.data[0] for transfer in got] == [0, 1, 2]
     assert [transfer.short_packet for transfer in got] == [True, False, True]
     assert len(rig.lib.submitted) == 4
-    assert rig.reader.counters.transfers == 3
+    assert rig.reader.counters.size == 12
 
 
 @settings(max_examples=50)
@@ -119,6 +119,18 @@ def test_data_before_a_disconnect_come_first_then_the_error(make_rig):
     for _ in range(2):
         with pytest.raises(DisconnectedError):
             rig.reader.get(1.0)
+
+
+def test_reads_wait_for_a_slow_consumer_and_no_byte_is_lost(make_rig):
+    rig = make_rig()
+    rig.reader.start()
+    for k in range(4):
+        rig.lib.send(bytes([k]))
+    assert rig.reader.get(1.0).data == b'\0'
+    # The camera can send no more than the consumer has made room for.
+    assert len(rig.lib.submitted) == 1
+    rig.lib.send(b'\4')
+    assert [rig.reader.get(1.0).data[0] for _ in range(4)] == [1, 2, 3, 4]
 
 
 def test_too_little_memory_in_the_kernel_is_said(make_rig):

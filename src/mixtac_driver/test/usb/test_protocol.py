@@ -25,9 +25,7 @@ from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
     ('number', 'kind'),
     [
         (errno.ENODEV, DisconnectedError),
-        (errno.ENOENT, DisconnectedError),
         (errno.EACCES, AccessError),
-        (errno.EPERM, AccessError),
         (errno.EBUSY, InUseError),
         (errno.EPIPE, StallError),
         (errno.ETIMEDOUT, NoAnswerError),
