@@ -32,7 +32,6 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp('demo') / 'run'
     command = [sys.executable, '-m', 'mixtac', 'demo', '--seconds', str(SECONDS)]
     command += ['--seed', '77', '--out', str(out)]
-    command += ['--json', str(out.parent / 'summary.json')]
     result = subprocess.run(
         command, env=module_ros_domain, capture_output=True, text=True, timeout=900, check=False
     )
@@ -46,19 +45,14 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     return out
 
 
-def test_the_summary_has_its_figures(run: Path):
-    report = json.loads((run.parent / 'summary.json').read_text())
-    assert report == json.loads((run / 'demo.json').read_text())
-    assert {'force_hz', 'mae_n', 'latency_ms', 'lost'} <= set(report)
+def test_the_summary_has_its_figures_and_a_picture(run: Path):
+    report = json.loads((run / 'demo.json').read_text())
+    assert {'force_hz', 'lost'} <= set(report)
     assert set(report['latency_ms']) == {'p50', 'p99'}
     assert 0.8 < report['gain'] < 1.6
     assert report['mae_n'] < 0.10
     assert report['mae_n'] < report['constant_mae_n']
     assert abs(report['clock_drift_ppm']) < 500
-    assert report['event_rate_mev_s'] > 0
-
-
-def test_the_figure_is_a_picture(run: Path):
     assert (run / 'demo.png').read_bytes().startswith(b'\x89PNG')
 
 

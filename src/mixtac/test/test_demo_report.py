@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mixtac.demo import Streams, compare, latency_ms, lost_windows, read_streams
+from mixtac.demo import Run, compare, latency_ms, lost_windows, read_run
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node import topics
@@ -33,36 +32,30 @@ def test_the_streams_of_a_bag_are_read(tmp_path):
             message.encoding, message.time_base = encoded.encoding, encoded.time_base
             message.events = np.frombuffer(encoded.payload, np.uint8)
             writer.put(topics.EVENTS, 1_000_000 * index, message)
-    streams = read_streams(tmp_path / 'bag', 'mixtac')
-    assert streams.event_t_us.tolist() == [0, 1000, 2000]
-    assert len(streams.arrival_ns) == len(streams.complete_us) == 3
-    assert streams.force_arrival_ns.tolist() == [7]
-    assert streams.invalid == 1
+    run = read_run(tmp_path / 'bag', 'mixtac')
+    assert run.packets[:, 2].tolist() == [1, 1, 1]
+    assert run.forces_ns.tolist() == [[0, 7]]
+    assert run.invalid == 1
 
 
-def streams_of(force_n, reference_n, complete_us=(), arrival_ns=()) -> Streams:
+def run_of(force_n, reference_n, packets=(), forces_ns=()) -> Run:
     """Return a run with a force every 2 ms and a reference every 1 ms."""
-    nothing = np.empty(0, np.int64)
-    return Streams(
-        event_t_us=nothing,
-        complete_us=np.array(complete_us, np.int64),
-        arrival_ns=np.array(arrival_ns, np.int64),
-        invalid=0,
-        force_ns=2_000_000 * np.arange(1, len(force_n) + 1),
-        force_arrival_ns=nothing,
+    ends_ns = 2_000_000 * np.arange(1, len(force_n) + 1)
+    return Run(
+        packets=np.array(packets, np.int64),
+        forces_ns=np.array(forces_ns or np.stack([ends_ns, ends_ns], axis=1), np.int64),
         force_n=np.asarray(force_n),
+        invalid=0,
         reference_ns=1_000_000 * np.arange(len(reference_n)),
         reference_n=np.asarray(reference_n),
     )
 
 
 def test_the_latency_begins_with_the_packet_that_completes_the_window():
-    streams = replace(
-        streams_of([], [], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90]),
-        force_ns=np.array([1_500_000, 2_000_000, 9_000_000]),
-        force_arrival_ns=np.array([70, 80, 100]),
-    )
-    assert latency_ms(streams) == pytest.approx([1e-5, 2e-5, 1e-5])
+    packets = [(1000, 50, 9), (2000, 60, 9), (3000, 90, 9)]
+    forces_ns = [(1_500_000, 70), (2_000_000, 80), (9_000_000, 100)]
+    run = run_of([], [], packets, forces_ns)
+    assert latency_ms(run) == pytest.approx([1e-5, 2e-5, 1e-5])
 
 
 def test_missing_windows_are_counted():
@@ -76,15 +69,12 @@ def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
     def load(at_ms):
         return 0.8 * ((at_ms > 3000) & (at_ms < 5000)) + 0.5 * ((at_ms > 6000) & (at_ms < 7000))
 
-    streams = streams_of(load(force_ms) / 1.25, load(t_ms) + 0.02 + 1e-5 * t_ms)
+    run = run_of(load(force_ms) / 1.25, load(t_ms) + 0.02 + 1e-5 * t_ms)
     taps = [SimpleNamespace(camera_us=us) for us in (1_000_000, 9_000_000)]
     fit = SimpleNamespace(
         anchors=taps,
         to_camera=lambda s: np.rint(1e6 * s).astype(np.int64),
     )
-    comparison = compare(streams, fit, (1.5, 4.5))
-    assert comparison.zeros_n == pytest.approx((0.033, 0.107))
-    assert comparison.gain == pytest.approx(1.25, rel=1e-3)
-    assert not comparison.judged[(comparison.time_s > 1.5) & (comparison.time_s < 4.5)].any()
-    figures = comparison.figures()
+    figures = compare(run, fit, (1.5, 4.5)).figures
+    assert figures['gain'] == pytest.approx(1.25, rel=1e-3)
     assert figures['mae_n'] < 1e-3 < figures['mae_uncalibrated_n']
