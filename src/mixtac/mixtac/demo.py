@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_axes, save_figure
-from mixtac.live import sensor_values, show
 from mixtac.options import OptionalPath
-from mixtac.up import show_without_ros, start_nodes
+from mixtac.up import sensor_values, show, show_without_ros, start_nodes
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
 from mixtac_core.node.files import FileError, write_json
@@ -159,7 +158,6 @@ def _run_graph(
         monitor.bring_up_all(nodes)
         monitor.listen()
         monitor.wait_for_force()
-        values = sensor_values(monitor, reference=True)
 
         def sensor() -> dict[str, str]:
             return monitor.values('virtual_sensor')
@@ -173,7 +171,7 @@ def _run_graph(
         monitor.wait(lambda: 'plays' in sensor() and bool(monitor.values('recorder')), 'a report')
         lost_us = float(sensor()['lost_us'])
         monitor.trigger('virtual_sensor/play')
-        show(console, doing, values)
+        show(console, doing, lambda: sensor_values(monitor, reference=True))
         time.sleep(TAIL_S)
         return (float(sensor()['lost_us']) - lost_us) / 1e6
 
