@@ -36,6 +36,8 @@ from mixtac_sim.world.profiles import make_profile
 
 PRESET: Final = 'paper_like'
 """Difficulty for which the shipped model was trained."""
+DEVICE_SEED: Final = 1001
+"""Seed of the virtual sensor, which no shipped model was trained on."""
 LEAD_S: Final = 8.0
 """Delay of the scenario after time goes on again [s]."""
 TAIL_S: Final = 1.0
@@ -66,14 +68,6 @@ def demo(
     seed: Annotated[
         int, typer.Option(min=0, help='Random seed for forces, contact point, noise and clocks.')
     ] = 1001,
-    device_seed: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=9_999_999,
-            help='Random seed that selects the virtual sensor (beads, gel, lamp, pixels).',
-        ),
-    ] = 1001,
     model: Annotated[
         OptionalPath, typer.Option(help='Weight file to use instead of the shipped one.')
     ] = None,
@@ -100,7 +94,7 @@ def demo(
         raise FileError(
             f'cannot create folder {folder}: {error.strerror}', remedy='name a new folder in --out'
         ) from error
-    settings = {'seconds': seconds, 'seed': seed, 'device_seed': device_seed}
+    settings = {'seconds': seconds, 'seed': seed}
     with ProcessGroup(folder / 'log') as processes:
         waited_s = _run_graph(console, processes, folder / BAG, model, settings)
         codes = {**processes.stop('recorder'), **processes.stop()}
@@ -129,6 +123,7 @@ def _run_graph(
 
     virtual_sensor = {
         **settings,
+        'device_seed': DEVICE_SEED,
         'preset': PRESET,
         'scenario': 'demo',
         'play_on_start': False,

@@ -98,7 +98,7 @@ def test_a_bag_gives_a_camera_file(tmp_path, bag):
 
 def test_without_out_it_goes_where_the_driver_looks(tmp_path, bag, monkeypatch):
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
-    calibrate(bag=bag, name='fingertip', alpha=0.5, json=tmp_path / 'result.json')
+    calibrate(bag=bag, name='fingertip', json=tmp_path / 'result.json')
     saved = read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml')
     projection = json.loads((tmp_path / 'result.json').read_text())['projection']
     np.testing.assert_array_equal(saved.projection.ravel(), projection)

@@ -22,7 +22,6 @@ from typer.testing import CliRunner
 from mixtac import loads as known_loads
 from mixtac.calibrate_force import calibrate_force, parse_loads
 from mixtac.loads import LiveProcedure, estimated
-from mixtac_core.events.arrays import Events
 from mixtac_core.recordings import camera_stream
 from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_fger.config import ModelError
@@ -188,31 +187,6 @@ def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
     )
     share = [m.tensors['deviation.scale'] / m.config['force_unit'] for m in (once, twice)]
     assert share[1] == pytest.approx(share[0])
-
-
-def test_forces_that_are_not_valid_are_used_but_for_frozen_frames():
-    random = np.random.default_rng(0)
-    own, other = (np.exp(random.normal(5.0, 0.3, (260, 346))) for _ in range(2))
-
-    def recording(later):
-        def pieces():
-            for index in range(40):
-                end_us = 1_000_000 + 40_000 * (index + 1)
-                image = own if index < 15 else later
-                if index < 15 or later is other:
-                    image = image + random.normal(0.0, 2.0, own.shape)
-                frame = SimpleNamespace(image=image.astype(np.uint16), middle_us=end_us - 20_000)
-                yield SimpleNamespace(
-                    frames=[frame], advances=True, events=Events.empty(), until_us=end_us
-                )
-
-        return SimpleNamespace(info=SimpleNamespace(start_us=1_000_000), pieces=pieces)
-
-    model = read_model(find_model('fger_small'))
-    t_us, _ = estimated(recording(other), model)
-    assert t_us[-1] == 1_000_000 + 40 * 40_000
-    frozen_us, _ = estimated(recording(own), model)
-    assert len(frozen_us) < len(t_us)
 
 
 def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):

