@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, cast
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import track
 
 from mixtac.figures import make_table
-from mixtac.options import JsonFile, OptionalPath, ReferenceTopic, one_of
+from mixtac.options import JsonFile, OptionalPath, ReferenceTopic
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node import topics
 from mixtac_core.node.files import write_json
@@ -22,8 +22,6 @@ from mixtac_fger.alignment.align import align as align_recording
 from mixtac_fger.alignment.bags import read_recording, rewrite_bag, write_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
 
-METHODS: Final = ('taps', 'edges')
-
 
 def align(
     bags: Annotated[list[Path], typer.Argument(help='Bags, or folders of bags (data sets).')],
@@ -32,10 +30,9 @@ def align(
         str, typer.Option(help="Namespace of the camera's topics.")
     ] = topics.DEFAULT_NAMESPACE,
     method: Annotated[
-        str,
+        Method,
         typer.Option(
-            help='taps: two synchronising taps; edges: external_edges against reference_edges.',
-            callback=one_of(*METHODS),
+            help='taps: two synchronising taps; edges: external_edges against reference_edges.'
         ),
     ] = 'taps',
     rewrite: Annotated[
@@ -55,7 +52,7 @@ def align(
             fit, damage = align_bag(
                 bag,
                 name=name,
-                method=cast('Method', method),
+                method=method,
                 reference=reference,
                 namespace=namespace,
                 rewrite=rewrite,

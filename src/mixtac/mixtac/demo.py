@@ -180,7 +180,6 @@ class Run(NamedTuple):
         forces_ns: Of each force: end of its window [ns, camera clock], and arrival at the recorder
             [ns]; int64 [M, 2].
         force_n: Estimated normal force [N].
-        invalid: Forces that are marked as not valid.
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
     """
@@ -188,7 +187,6 @@ class Run(NamedTuple):
     packets: I64
     forces_ns: I64
     force_n: F64
-    invalid: int
     reference_ns: I64
     reference_n: F64
 
@@ -223,7 +221,6 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
 
         `force_hz`: Rate of `/mixtac/force` at the recorder during the scenario.
         `lost`: Force samples missing at the recorder, by their stamps.
-        `invalid`: Force samples marked as not valid; they are published and count in all figures.
         `latency_ms`: From the arrival of the last packet of a window to its force at the
             recorder, p50 and p99.
         `gain`: Factor of the force by which the press of the scenario calibrates the sensor.
@@ -241,7 +238,6 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
     report: dict[str, Any] = {
         'force_hz': float((len(latency) - 1) * 1e9 / np.ptp(arrivals_ns[played])),
         'lost': lost_windows(ends_ns[played]),
-        'invalid': run.invalid,
         'latency_ms': {f'p{part}': float(np.percentile(latency, part)) for part in (50, 99)},
         **dict.fromkeys(ALIGNED),
         'refused': '',
@@ -266,15 +262,10 @@ def read_run(path: Path, namespace: str) -> Run:
     Raises:
         RecordingError: A topic is missing or the bag is damaged.
     """
-    events, quality, force = (
-        each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY, topics.FORCE)
-    )
-    packets, forces_ns, force_n, invalid = [], [], [], 0
+    events, force = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE))
+    packets, forces_ns, force_n = [], [], []
     with BagFile(path) as bag:
-        for topic, received_ns, message in bag.messages(events, quality, force):
-            if topic == quality:
-                invalid += not message.valid
-                continue
+        for topic, received_ns, message in bag.messages(events, force):
             stamp_ns = stamp_to_ns(message.header.stamp)
             if topic == force:
                 forces_ns.append((stamp_ns, received_ns))
@@ -287,7 +278,6 @@ def read_run(path: Path, namespace: str) -> Run:
         np.array(packets, np.int64).reshape(-1, 3),
         np.array(forces_ns, np.int64).reshape(-1, 2),
         np.array(force_n),
-        invalid,
         reference_ns,
         reference[:, 2],
     )
@@ -415,7 +405,6 @@ def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> 
         ('  of the best constant guess', f'{n("constant_mae_n")} N'),
         ('drift of the reference clock', f'{n("clock_drift_ppm")} ppm'),
         ('lost force samples', str(report['lost'])),
-        ('forces marked as not valid', str(report['invalid'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
     ]
     title = 'Measured on the virtual sensor (simulated)'

@@ -144,45 +144,34 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
     def _beat(self) -> None:
         """Publish the heartbeat, and do what the phase asks for."""
         self._heartbeat.publish(Empty())
-        elapsed_s = self._now_s() - self._since_s
+        now_s, every_s = self._now_s(), self._settings.knock_every
+        elapsed_s = now_s - self._since_s
+        may_request = now_s - self._requested_s > REQUEST_PERIOD_S
         if self._phase is Phase.GRIP and elapsed_s > GRIP_S:
             self._tare.call_async(Trigger.Request())
             self._enter(Phase.ENABLE)
-        elif self._phase is Phase.ENABLE and self._may_request():
-            self._ask_to_enable()
-        elif self._phase is Phase.HOLD:
-            self._strike_if_due(elapsed_s)
+        elif self._phase is Phase.ENABLE and may_request:
+            self._requested_s = now_s
+            if self._slip.state == SlipState.STOPPED:
+                self._reset.call_async(Trigger.Request())
+            elif not self._slip.reason:
+                self._enable.call_async(SetBool.Request(data=True))
+        elif self._phase is Phase.HOLD and self._slip.state != SlipState.ENABLED:
+            self._enter(Phase.ENABLE)
+        elif self._phase is Phase.HOLD and may_request and elapsed_s > STEADY_S:
+            if now_s - self._struck_s > every_s > 0.0:
+                self._requested_s = now_s
+                self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
         elif self._phase is Phase.IMPACT and elapsed_s > REARM_S:
             self.get_logger().info(str(self._impacts[-1]))
             # Start each impact with the same force, so that they can be compared.
             disabled = self._enable.call_async(SetBool.Request(data=False))
-            self._phase = Phase.GRIP
-            self._since_s = self._now_s()
+            self._phase, self._since_s = Phase.GRIP, now_s
             disabled.add_done_callback(lambda _: self._grip())
-
-    def _may_request(self) -> bool:
-        due = self._now_s() - self._requested_s > REQUEST_PERIOD_S
-        if due:
-            self._requested_s = self._now_s()
-        return due
 
     def _grip(self) -> None:
         self._put_back.call_async(Trigger.Request())
         self._enter(Phase.GRIP)
-
-    def _ask_to_enable(self) -> None:
-        if self._slip.state == SlipState.STOPPED:
-            self._reset.call_async(Trigger.Request())
-        elif not self._slip.reason:
-            self._enable.call_async(SetBool.Request(data=True))
-
-    def _strike_if_due(self, elapsed_s: float) -> None:
-        every_s = self._settings.knock_every
-        due = self._now_s() - self._struck_s > every_s > 0.0 and elapsed_s > STEADY_S
-        if self._slip.state != SlipState.ENABLED:
-            self._enter(Phase.ENABLE)
-        elif due and self._may_request():
-            self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
 
     def _on_struck(self, _response: object) -> None:
         """Begin an impact once the simulation has confirmed it."""

@@ -16,14 +16,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import typer
 from rich.console import Console
 from rich.live import Live
 
 from mixtac.figures import make_table
-from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
+from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime
 from mixtac_core.node.graph import (
     NodeSpec,
     is_virtual,
@@ -89,9 +89,6 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
         processes.check()
 
 
-LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
-
-
 def up(
     context: typer.Context,
     device: Annotated[
@@ -100,7 +97,8 @@ def up(
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
     log_level: Annotated[
-        str, typer.Option(help='debug, info, warn, error or fatal.', callback=one_of(*LEVELS))
+        Literal['debug', 'info', 'warn', 'error', 'fatal'],
+        typer.Option(help='Lowest severity that the nodes log.'),
     ] = 'info',
     seconds: RunTime = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
@@ -268,8 +266,7 @@ def sensor_values(monitor: Monitor, reference: bool) -> dict[str, str]:
 
 def slip(
     object_name: Annotated[
-        str,
-        typer.Option('--object', help='box, cup or ball.', callback=one_of('box', 'cup', 'ball')),
+        Literal['box', 'cup', 'ball'], typer.Option('--object', help='Held object.')
     ] = 'box',
     disturb: Annotated[
         float,
@@ -281,11 +278,8 @@ def slip(
         float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
     ] = 8.0,
     preset: Annotated[
-        str,
-        typer.Option(
-            help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.',
-            callback=one_of('easy', 'paper_like', 'hard', 'varied'),
-        ),
+        Literal['easy', 'paper_like', 'hard', 'varied'],
+        typer.Option(help='Difficulty of the simulated sensor.'),
     ] = 'paper_like',
     seed: Annotated[
         int,

@@ -304,12 +304,12 @@ class Operated:
         return times, forces / (0.8, 0.5, 0.5) + (0.1, 0.0, 0.0)
 
 
-@pytest.mark.parametrize('named', [True, False])
-def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, named):
+@pytest.mark.parametrize('measured', [False, True])
+def test_a_live_sensor_is_led_through_loads_and_pulls(monkeypatch, measured):
     monkeypatch.setattr(known_loads, 'POLL_S', 0.0)
     live = LiveProcedure(Console(quiet=True), Operated(), drives=True)
     found = live.lead(parse_loads('20,50,100', 1.0), parse_loads('20,20', 1.0))
-    if not named:
+    if measured:
         found.measure(*live.reference())
     assert fit_gain(found.loads, found.plateaus).gain == pytest.approx(1.25, rel=0.02)
     assert fit_gain(found.pull_loads, found.pulls, PULL).gain == pytest.approx(2.0, rel=0.03)

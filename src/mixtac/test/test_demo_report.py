@@ -21,7 +21,7 @@ from mixtac_core.recordings.stream_writer import StreamWriter
 def test_the_streams_of_a_bag_are_read(tmp_path):
     with McapBag(tmp_path / 'bag') as bag:
         writer = StreamWriter(bag, (346, 260))
-        for topic in (topics.FORCE, topics.FORCE_QUALITY, topics.REFERENCE_WRENCH):
+        for topic in (topics.FORCE, topics.REFERENCE_WRENCH):
             writer.put(topic, 7, blank_message(topic.type_name))
         for index in range(3):
             t = np.array([1000 * index], np.int64)
@@ -35,7 +35,6 @@ def test_the_streams_of_a_bag_are_read(tmp_path):
     run = read_run(tmp_path / 'bag', 'mixtac')
     assert run.packets[:, 2].tolist() == [1, 1, 1]
     assert run.forces_ns.tolist() == [[0, 7]]
-    assert run.invalid == 1
 
 
 def run_of(force_n, reference_n, packets=(), forces_ns=()) -> Run:
@@ -45,7 +44,6 @@ def run_of(force_n, reference_n, packets=(), forces_ns=()) -> Run:
         packets=np.array(packets, np.int64),
         forces_ns=np.array(forces_ns or np.stack([ends_ns, ends_ns], axis=1), np.int64),
         force_n=np.asarray(force_n),
-        invalid=0,
         reference_ns=1_000_000 * np.arange(len(reference_n)),
         reference_n=np.asarray(reference_n),
     )
