@@ -16,9 +16,8 @@ import typer
 from rich.console import Console
 
 from mixtac.figures import make_table
-from mixtac.options import JsonFile, OptionalPath
+from mixtac.options import OptionalPath
 from mixtac.up import start_nodes
-from mixtac_core.node.files import write_json
 from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.images import ImageConversionError, grey
 from mixtac_core.node.process import GraphError, ProcessGroup
@@ -60,7 +59,6 @@ def calibrate(
     out: Annotated[
         OptionalPath, typer.Option(help='File to write; by default the file that the driver reads.')
     ] = None,
-    json: JsonFile = None,
 ) -> None:
     """Calibrate the camera with a checkerboard and write a camera_info file."""
     from mixtac_driver.calibration import Board, ViewSelection, find_board
@@ -92,7 +90,6 @@ def calibrate(
     comment = f'mixtac calibrate: {len(solution.views)} views, error {solution.rms_px:.3f} px'
     write_camera_info(out, solution.calibration, comment)
     console.print(f'written to {out}')
-    write_json(json, _summary(solution, seen, found))
 
 
 def bag_images(path: Path, topic: str) -> Images:
@@ -178,17 +175,3 @@ def print_solution(console: Console, solution: Solution) -> None:
     console.print(f'reprojection error {solution.rms_px:.3f} px, {len(solution.views)} views')
     for view, error in solution.removed:
         console.print(f'view {view.label} removed: error {error:.2f} px')
-
-
-def _summary(solution: Solution, seen: int, found: int) -> dict[str, Any]:
-    parameters = solution.parameters()
-    return {
-        'model': solution.calibration.model,
-        'images': seen,
-        'boards': found,
-        'views': len(solution.views),
-        'reprojection_error_px': {'rms': solution.rms_px, 'max': float(solution.view_rms_px.max())},
-        'parameters': {name: value for name, (value, _) in parameters.items()},
-        'standard_deviations': {name: each for name, (_, each) in parameters.items()},
-        'projection': solution.calibration.projection.ravel().tolist(),
-    }

@@ -175,8 +175,8 @@ class Run(NamedTuple):
     """The streams of a recorded run.
 
     Attributes:
-        packets: Of each event packet: time up to which it is complete [us, camera clock], arrival
-            at the host [ns], and number of events; int64 [N, 3].
+        packets: Of each event packet: time up to which it is complete [us, camera clock], and
+            number of events; int64 [N, 2].
         forces_ns: Of each force: end of its window [ns, camera clock], and arrival at the recorder
             [ns]; int64 [M, 2].
         force_n: Estimated normal force [N].
@@ -221,8 +221,6 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
 
         `force_hz`: Rate of `/mixtac/force` at the recorder during the scenario.
         `lost`: Force samples missing at the recorder, by their stamps.
-        `latency_ms`: From the arrival of the last packet of a window to its force at the
-            recorder, p50 and p99.
         `gain`: Factor of the force by which the press of the scenario calibrates the sensor.
         `mae_n`: Mean absolute error of the calibrated force against the reference, aligned as by
             `mixtac align` and less its zero, without the press that calibrates.
@@ -232,13 +230,11 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         `refused`: Why the alignment was refused, or empty.
     """
     run = read_run(out / BAG, DEFAULT_NAMESPACE)
-    ends_ns, arrivals_ns = run.forces_ns.T
-    played = ends_ns > ends_ns[-1] - round(1e9 * (seconds + TAIL_S))
-    latency = latency_ms(run)[played]
+    played = run.forces_ns[:, 0] > run.forces_ns[-1, 0] - round(1e9 * (seconds + TAIL_S))
+    ends_ns, arrivals_ns = run.forces_ns[played].T
     report: dict[str, Any] = {
-        'force_hz': float((len(latency) - 1) * 1e9 / np.ptp(arrivals_ns[played])),
-        'lost': lost_windows(ends_ns[played]),
-        'latency_ms': {f'p{part}': float(np.percentile(latency, part)) for part in (50, 99)},
+        'force_hz': float((len(ends_ns) - 1) * 1e9 / np.ptp(arrivals_ns)),
+        'lost': int(np.ptp(ends_ns) // WINDOW_NS) + 1 - len(ends_ns),
         **dict.fromkeys(ALIGNED),
         'refused': '',
     }
@@ -266,16 +262,15 @@ def read_run(path: Path, namespace: str) -> Run:
     packets, forces_ns, force_n = [], [], []
     with BagFile(path) as bag:
         for topic, received_ns, message in bag.messages(events, force):
-            stamp_ns = stamp_to_ns(message.header.stamp)
             if topic == force:
-                forces_ns.append((stamp_ns, received_ns))
+                forces_ns.append((stamp_to_ns(message.header.stamp), received_ns))
                 force_n.append(topics.normal_force(message))
             else:
                 packet = decode_message(message)
-                packets.append((packet.complete_until, stamp_ns, len(packet.events)))
+                packets.append((packet.complete_until, len(packet.events)))
         reference_ns, reference = bag.wrenches(topics.REFERENCE)
     return Run(
-        np.array(packets, np.int64).reshape(-1, 3),
+        np.array(packets, np.int64).reshape(-1, 2),
         np.array(forces_ns, np.int64).reshape(-1, 2),
         np.array(force_n),
         reference_ns,
@@ -327,22 +322,6 @@ def compare(run: Run, fit: ClockFit, pressed_s: tuple[float, float]) -> Comparis
     return Comparison(start_us, time_s, gain * estimate, reference, figures)
 
 
-def lost_windows(stamps_ns: I64) -> int:
-    """Return how many 2 ms windows are missing between the first and the last stamp."""
-    return int(np.ptp(stamps_ns) // WINDOW_NS) + 1 - len(stamps_ns)
-
-
-def latency_ms(run: Run) -> F64:
-    """Return the time from the arrival of a window's last packet to its force [ms].
-
-    The end of the window itself has no time on the host clock where simulated time stops.
-    """
-    ends_ns, arrivals_ns = run.forces_ns.T
-    packet = np.searchsorted(run.packets[:, 0] * 1000, ends_ns)
-    sent_ns = run.packets[packet.clip(max=len(run.packets) - 1), 1]
-    return np.asarray((arrivals_ns - sent_ns) / 1e6, np.float64)
-
-
 def press_s(seconds: float, seed: int) -> tuple[float, float]:
     """Return start and end of the press of the scenario [s since the start of the comparison].
 
@@ -379,7 +358,7 @@ def draw_run(path: Path, comparison: Comparison, packets: I64, title: str) -> No
     force.legend(loc='upper right', ncols=2, frameon=False)
     edges_s = np.arange(0.0, time_s[-1], RATE_WINDOW_US / 1e6)
     at_s = (packets[:, 0] - comparison.start_us) / 1e6
-    counts, _ = np.histogram(at_s, edges_s, weights=packets[:, 2])
+    counts, _ = np.histogram(at_s, edges_s, weights=packets[:, 1])
     events.semilogy(
         edges_s[1:], np.maximum(counts * 1e6 / RATE_WINDOW_US, 1.0), color=EVENTS, lw=0.8
     )
@@ -395,10 +374,8 @@ def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> 
     def n(key: str) -> str:
         return '-' if report[key] is None else f'{report[key]:.3f}'
 
-    latency = report['latency_ms']
     rows = [
         ('force', f'{report["force_hz"]:.1f} Hz'),
-        ('latency p50 / p99', f'{latency["p50"]:.2f} / {latency["p99"]:.2f} ms'),
         ('gain, calibrated by the press', n('gain')),
         ('mean absolute error against the reference', f'{n("mae_n")} N'),
         ('  before the calibration', f'{n("mae_uncalibrated_n")} N'),

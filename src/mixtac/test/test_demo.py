@@ -43,7 +43,6 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
 def test_the_summary_has_its_figures_and_a_picture(run: Path):
     report = json.loads((run / 'demo.json').read_text())
     assert {'force_hz', 'lost'} <= set(report)
-    assert set(report['latency_ms']) == {'p50', 'p99'}
     assert (report['mae_n'] is None) == bool(report['refused'])
     if report['waited_s'] > 0.5:
         pytest.skip('frames and taps get lost on a machine that is too busy')

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac.demo import Run, compare, latency_ms, lost_windows, read_run
+from mixtac.demo import Run, compare, read_run
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node import topics
@@ -33,31 +33,8 @@ def test_the_streams_of_a_bag_are_read(tmp_path):
             message.events = np.frombuffer(encoded.payload, np.uint8)
             writer.put(topics.EVENTS, 1_000_000 * index, message)
     run = read_run(tmp_path / 'bag', 'mixtac')
-    assert run.packets[:, 2].tolist() == [1, 1, 1]
+    assert run.packets[:, 1].tolist() == [1, 1, 1]
     assert run.forces_ns.tolist() == [[0, 7]]
-
-
-def run_of(force_n, reference_n, packets=(), forces_ns=()) -> Run:
-    """Return a run with a force every 2 ms and a reference every 1 ms."""
-    ends_ns = 2_000_000 * np.arange(1, len(force_n) + 1)
-    return Run(
-        packets=np.array(packets, np.int64),
-        forces_ns=np.array(forces_ns or np.stack([ends_ns, ends_ns], axis=1), np.int64),
-        force_n=np.asarray(force_n),
-        reference_ns=1_000_000 * np.arange(len(reference_n)),
-        reference_n=np.asarray(reference_n),
-    )
-
-
-def test_the_latency_begins_with_the_packet_that_completes_the_window():
-    packets = [(1000, 50, 9), (2000, 60, 9), (3000, 90, 9)]
-    forces_ns = [(1_500_000, 70), (2_000_000, 80), (9_000_000, 100)]
-    run = run_of([], [], packets, forces_ns)
-    assert latency_ms(run) == pytest.approx([1e-5, 2e-5, 1e-5])
-
-
-def test_missing_windows_are_counted():
-    assert lost_windows(np.array([0, 2, 4, 10]) * 1_000_000) == 2
 
 
 def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
@@ -67,7 +44,13 @@ def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
     def load(at_ms):
         return 0.8 * ((at_ms > 3000) & (at_ms < 5000)) + 0.5 * ((at_ms > 6000) & (at_ms < 7000))
 
-    run = run_of(load(force_ms) / 1.25, load(t_ms) + 0.02 + 1e-5 * t_ms)
+    run = Run(
+        packets=np.empty((0, 2), np.int64),
+        forces_ns=1_000_000 * np.stack([force_ms, force_ms], axis=1),
+        force_n=load(force_ms) / 1.25,
+        reference_ns=1_000_000 * t_ms,
+        reference_n=load(t_ms) + 0.02 + 1e-5 * t_ms,
+    )
     taps = [SimpleNamespace(camera_us=us) for us in (1_000_000, 9_000_000)]
     fit = SimpleNamespace(
         anchors=taps,
