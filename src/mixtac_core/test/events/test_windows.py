@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mixtac_core.events import windows
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.windows import WindowSlicer, counts_per_window
+from mixtac_core.events.windows import WindowSlicer
 
 EPOCH_US = 1_700_000_000_000_000
 
@@ -94,26 +94,6 @@ def test_a_restarted_clock_starts_over() -> None:
     windows = slicer.push(at([200]), 1000)
     assert [(end, c.t.tolist()) for end, c in windows] == [(1000, [200])]
     assert slicer.late_events == 0
-
-
-@given(
-    times=st.lists(st.integers(-50, 5000), max_size=60),
-    start=st.integers(-20, 3000),
-    length=st.integers(0, 3000),
-    width=st.integers(1, 500),
-    epoch=st.sampled_from([0, EPOCH_US]),
-)
-def test_counts_are_those_of_the_borders(
-    times: list[int], start: int, length: int, width: int, epoch: int
-) -> None:
-    t = np.array(times, np.int64) + epoch
-    counts = counts_per_window(t, start + epoch, start + epoch + length, width)
-    assert counts.dtype == np.int64
-    expected = [
-        sum(start + k * width <= u < start + (k + 1) * width for u in times)
-        for k in range(length // width)
-    ]
-    assert counts.tolist() == expected
 
 
 def test_time_that_stands_still_holds_a_bounded_number_of_events(monkeypatch):
