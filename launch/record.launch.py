@@ -25,7 +25,7 @@ from mixtac_core.node.launch_actions import environment, shared_arguments, value
 from mixtac_core.node.process import GraphError
 from mixtac_core.node.topics import REFERENCE
 
-FORWARDED = ('device', 'serial', 'namespace', 'params_file', 'reference_topic', 'log_level')
+FORWARDED = ('device', 'serial', 'namespace', 'params_file', 'reference_topic')
 START_S = 180
 """Longest time until a sensor that is started here publishes: a first start compiles [s]."""
 RUNNING_S = 5
@@ -40,12 +40,17 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument('serial', default_value='', description='Serial number of the camera'),
     DeclareLaunchArgument(
+        'params_file',
+        default_value='',
+        description='Parameter file of a sensor that is started; the recorder has no parameters',
+    ),
+    DeclareLaunchArgument(
         'reference_topic',
         default_value=REFERENCE,
         description='Topic of the reference force, of the recorder and of a sensor that is '
         'started, whatever params_file says',
     ),
-    *shared_arguments('namespace', 'params_file', 'log_level'),
+    *shared_arguments('namespace'),
 ]
 
 

@@ -27,20 +27,16 @@ if TYPE_CHECKING:
     from mixtac_fger.config import ModelError
     from mixtac_fger.reference import TareError
 
-_HOMES = {
+HOMES = {
     'MixtacError': 'mixtac_core.events.errors',
     'ModelError': 'mixtac_fger.config',
     'NoCameraError': 'mixtac_driver.errors',
-    'NoReadingError': 'mixtac.latest',
-    'NotOpenError': 'mixtac.latest',
     'Picture': 'mixtac.sensor',
-    'ReadTimeoutError': 'mixtac.latest',
     'Reading': 'mixtac.sensor',
     'Sensor': 'mixtac.sensor',
-    'SensorError': 'mixtac.latest',
-    'StaleReadingError': 'mixtac.latest',
     'TareError': 'mixtac_fger.reference',
 }
+"""Modules of the names that are not in `mixtac.latest`."""
 
 __all__ = [
     'MixtacError',
@@ -60,6 +56,6 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Import a name of the interface when it is first used: the command starts without it."""
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(HOMES.get(name, 'mixtac.latest')), name)

@@ -16,9 +16,8 @@ import typer
 from rich.console import Console
 
 from mixtac.figures import make_table
-from mixtac.options import JsonFile, OptionalPath
+from mixtac.options import OptionalPath
 from mixtac.up import start_nodes
-from mixtac_core.node.files import write_json
 from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.images import ImageConversionError, grey
 from mixtac_core.node.process import GraphError, ProcessGroup
@@ -28,7 +27,7 @@ from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.camera_info import check_model, resolve, write_camera_info
 
 if TYPE_CHECKING:
-    from mixtac_driver.calibration import Solution, ViewSelection
+    from mixtac_driver.calibration import Solution
 
 Images = Generator[tuple[str, Any], None, None]
 
@@ -38,10 +37,6 @@ BAG_PERIOD_NS = 200_000_000
 """Least time between two images of a bag that are searched for the board [ns]."""
 CAMERA_NAME = 'davis346'
 TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
-HINTS = {
-    'coverage': 'move the board to every edge and corner of the image',
-    'views': 'tilt and turn the board, nearer and further away',
-}
 
 
 def calibrate(
@@ -58,21 +53,12 @@ def calibrate(
     model: Annotated[
         str, typer.Option(help='equidistant (wide angle), plumb_bob or rational_polynomial.')
     ] = 'equidistant',
-    alpha: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            max=1,
-            help='Free scaling parameter: 0 crops to valid pixels, 1 keeps all pixels.',
-        ),
-    ] = 0.0,
     name: Annotated[
         str, typer.Option(help='Name of the camera, as in camera_name of the driver.')
     ] = CAMERA_NAME,
     out: Annotated[
         OptionalPath, typer.Option(help='File to write; by default the file that the driver reads.')
     ] = None,
-    json: JsonFile = None,
 ) -> None:
     """Calibrate the camera with a checkerboard and write a camera_info file."""
     from mixtac_driver.calibration import Board, ViewSelection, find_board
@@ -88,7 +74,9 @@ def calibrate(
             view = find_board(image, wanted, label)
             seen, found = seen + 1, found + (view is not None)
             if view is not None and selection.offer(view):
-                console.print(_progress(selection, label))
+                shares = selection.progress().items()
+                listed = ', '.join(f'{share:.0%} of {name}' for name, share in shares)
+                console.print(f'view {len(selection.views):2d} ({label}): {listed}')
             if bag is None and selection.complete:
                 break
     except KeyboardInterrupt:
@@ -97,12 +85,11 @@ def calibrate(
         # Ends the nodes that it started.
         images.close()
     console.print(f'board found in {found} of {seen} images')
-    solution = solve(selection.views, model=model, name=name, alpha=alpha)
+    solution = solve(selection.views, model=model, name=name)
     print_solution(console, solution)
     comment = f'mixtac calibrate: {len(solution.views)} views, error {solution.rms_px:.3f} px'
     write_camera_info(out, solution.calibration, comment)
     console.print(f'written to {out}')
-    write_json(json, _summary(solution, seen, found))
 
 
 def bag_images(path: Path, topic: str) -> Images:
@@ -176,14 +163,6 @@ def labelled(message: Any) -> tuple[str, Any]:  # noqa: ANN401
         raise RecordingError(str(error)) from error
 
 
-def _progress(selection: ViewSelection, label: str) -> str:
-    shares = selection.progress()
-    listed = ' '.join(f'{name} {share:.0%}' for name, share in shares.items())
-    least = min(shares, key=lambda name: shares[name])
-    hint = 'enough views' if selection.complete else HINTS[least]
-    return f'view {len(selection.views):2d} ({label})  {listed}; {hint}'
-
-
 def print_solution(console: Console, solution: Solution) -> None:
     """Print the parameters with their standard deviations, and the errors."""
     calibration = solution.calibration
@@ -196,21 +175,3 @@ def print_solution(console: Console, solution: Solution) -> None:
     console.print(f'reprojection error {solution.rms_px:.3f} px, {len(solution.views)} views')
     for view, error in solution.removed:
         console.print(f'view {view.label} removed: error {error:.2f} px')
-
-
-def _summary(solution: Solution, seen: int, found: int) -> dict[str, Any]:
-    from mixtac_driver.calibration import coverage
-
-    parameters = solution.parameters()
-    return {
-        'model': solution.calibration.model,
-        'images': seen,
-        'boards': found,
-        'views': len(solution.views),
-        'removed_views': [view.label for view, _ in solution.removed],
-        'coverage': coverage(solution.views),
-        'reprojection_error_px': {'rms': solution.rms_px, 'max': float(solution.view_rms_px.max())},
-        'parameters': {name: value for name, (value, _) in parameters.items()},
-        'standard_deviations': {name: each for name, (_, each) in parameters.items()},
-        'projection': solution.calibration.projection.ravel().tolist(),
-    }

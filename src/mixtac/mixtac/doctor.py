@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from mixtac.options import JsonFile, OptionalPath
 from mixtac_core.events.errors import MixtacError
@@ -42,8 +42,6 @@ from mixtac_driver.doctor import (
 from mixtac_driver.parameters import DriverParameters
 
 VIRTUAL = 'virtual'
-SAFE_DOMAINS = range(102)
-"""Above these, the ports of DDS overlap the ports that Linux uses for outgoing connections."""
 SEED = 1001
 """Seed of the virtual sensor that is started for a check, and of its noise."""
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
@@ -71,17 +69,15 @@ def doctor(
     console, raw = Console(), RawData() if bundle is not None else None
     p = DriverParameters(device=device, serial=serial)
     findings: list[Finding] = []
-    rows: list[dict[str, object]] = []
     for section, found in examine(p, seconds, raw=raw):
         findings += found
-        rows += [_row(section, finding) for finding in found]
         console.print(table(section, found))
     level, first, verdict = worst(findings), first_to_do(findings), 'no problems found'
     if first is not None:
         verdict = f'fix first: {first.name}: {first.remedy or first.found}'
     console.print(f'[{STYLES[level]}]{escape(verdict)}', soft_wrap=True)
     report: dict[str, Any] = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
-    report['findings'] = rows
+    report['findings'] = [_row(each) for each in findings]
     write_json(json, report)
     if bundle is not None and raw is not None:
         write_bundle(bundle, report, p, raw)
@@ -116,14 +112,13 @@ def write_bundle(path: Path, report: dict[str, Any], p: DriverParameters, raw: R
         archive.writestr('words.bin', bytes(raw.words))
 
 
-def _row(section: str, finding: Finding) -> dict[str, object]:
+def _row(finding: Finding) -> dict[str, object]:
     """Return a finding for JSON, which has no NaN."""
     values = {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in finding.values.items()
     }
-    level = finding.level.name.lower()
-    return {'section': section, **asdict(finding), 'level': level, 'values': values}
+    return asdict(finding) | {'level': finding.level.name.lower(), 'values': values}
 
 
 def examine(
@@ -142,7 +137,7 @@ def examine(
     """
     check_device(p.device)
 
-    yield 'software', [check_ros(os.environ), check_domain(os.environ), check_model()]
+    yield 'software', [check_ros(os.environ), check_model()]
     if is_real(p.device):
         attached = check_attached(p.serial, root)
         yield 'camera', attached
@@ -158,10 +153,8 @@ def examine(
 
 def table(section: str, findings: list[Finding]) -> Table:
     """Return the findings of a section as a table."""
-    result = Table(title=section, title_justify='left', title_style='bold', show_header=False)
-    result.add_column('name', no_wrap=True)
-    result.add_column('level', no_wrap=True)
-    result.add_column('found', overflow='fold')
+    columns = ('name', 'level', Column(overflow='fold'))
+    result = Table(*columns, title=section, title_justify='left', show_header=False)
     for finding in findings:
         style = STYLES[finding.level]
         text = escape(finding.found)
@@ -172,7 +165,7 @@ def table(section: str, findings: list[Finding]) -> Table:
 
 
 def check_ros(environment: Mapping[str, str]) -> Finding:
-    """Check that rclpy can be imported, and report its version.
+    """Check that rclpy can be imported, and report distribution, middleware and domain.
 
     Args:
         environment: Variables of the process.
@@ -184,20 +177,10 @@ def check_ros(environment: Mapping[str, str]) -> Finding:
         return Finding('ROS 2', Level.WARN, f'rclpy cannot be imported: {error}', remedy)
     named = environment.get('ROS_DISTRO', 'wheels')
     rmw = utilities.get_rmw_implementation_identifier()
-    return ok('ROS 2', f'{named}, {rmw}', distribution=named, rmw=rmw)
-
-
-def check_domain(environment: Mapping[str, str]) -> Finding:
-    """Check the ROS domain and the discovery range."""
-    name, text = 'ROS domain', environment.get('ROS_DOMAIN_ID') or '0'
+    domain = environment.get('ROS_DOMAIN_ID') or '0'
     reach = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'not restricted'
-    remedy = f'export ROS_DOMAIN_ID=N with N from 0 to {SAFE_DOMAINS[-1]}'
-    if not text.isdigit():
-        return Finding(name, Level.ERROR, f'ROS_DOMAIN_ID={text} is not a number', remedy)
-    if int(text) not in SAFE_DOMAINS:
-        found = f'ROS_DOMAIN_ID={text}: its ports may be in use by outgoing connections'
-        return Finding(name, Level.WARN, found, remedy)
-    return ok(name, f'{text}, discovery range {reach}', domain=int(text), range=reach)
+    found = f'{named}, {rmw}, domain {domain}, discovery range {reach}'
+    return ok('ROS 2', found, distribution=named, rmw=rmw, domain=domain, range=reach)
 
 
 def check_model() -> Finding:

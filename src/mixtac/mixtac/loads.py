@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -53,26 +52,20 @@ class Session:
     """Measurements of a calibration.
 
     Attributes:
-        t_s: Times of the force series [s].
-        force_n: Estimates before the calibration [N].
         loads: Known loads.
-        plateaus: Plateau of each load.
         pull_loads: Known sideways loads.
+        plateaus: Plateau of each load.
         pulls: Plateau of each sideways load.
         serial: Serial number of the camera, empty while unknown.
-        known_by: `weights`, `scale` or `reference`.
-        doubts: Warnings for the user.
+        by_reference: Whether a reference sensor has measured the loads.
     """
 
-    t_s: F64 = field(default_factory=lambda: np.zeros(0))
-    force_n: F64 = field(default_factory=lambda: np.zeros(0))
-    loads: Sequence[Load] = ()
+    loads: Sequence[Load]
+    pull_loads: Sequence[Load]
     plateaus: list[Plateau] = field(default_factory=list)
-    pull_loads: Sequence[Load] = ()
     pulls: list[Plateau] = field(default_factory=list)
     serial: str = ''
-    known_by: str = 'weights'
-    doubts: list[str] = field(default_factory=list)
+    by_reference: bool = False
 
     def measure(self, t_s: F64, reference_n: F64) -> None:
         """Measure the loads by a reference sensor.
@@ -81,13 +74,13 @@ class Session:
             t_s: Times on the clock of the plateaus [s].
             reference_n: Its normal force and its forces along x and y [N], [T, 3].
         """
-        self.known_by = 'reference'
+        self.by_reference = True
         self.loads = reference_loads(t_s, reference_n[:, :1], self.plateaus)
         self.pull_loads = reference_loads(t_s, reference_n[:, 1:], self.pulls)
 
 
 def from_bag(
-    path: Path, model: Model, loads: Sequence[Load], reference: str, pulls: Sequence[Load] = ()
+    path: Path, model: Model, loads: Sequence[Load], pulls: Sequence[Load], reference: str
 ) -> Session:
     """Return the plateaus of a recording of the procedure.
 
@@ -95,8 +88,8 @@ def from_bag(
         path: Bag or AEDAT4 file that begins and ends without a load.
         model: Model that estimates its forces.
         loads: Loads in order of application.
-        reference: Topic of a reference force to use instead if the bag has it; empty for none.
         pulls: Sideways loads in order, all in the last contact; empty for none.
+        reference: Topic of a reference force to use instead if the bag has it; empty for none.
 
     Raises:
         MixtacError: The recording cannot be read, or does not allow a calibration.
@@ -104,25 +97,24 @@ def from_bag(
     from mixtac_core.recordings.camera_stream import open_recording
 
     with closing(open_recording(path)) as recording:
-        t_us, forces, doubts = estimated(recording, model)
+        t_us, forces = estimated(recording, model)
     if not len(t_us):
         raise ForceCalibrationError(
             f'{path} gives no force: it begins in contact, or has no frames',
             'contact',
             'record events and frames, and begin with a second without a load',
         )
-    t_s = 1e-6 * (t_us - t_us[0])
-    session = Session(t_s, forces[:, 0], loads, pull_loads=pulls, doubts=doubts)
-    measured = None
+    t_s, force_n = 1e-6 * (t_us - t_us[0]), forces[:, 0]
+    session, measured = Session(loads, pulls), None
     if path.is_dir() or path.suffix in {'.mcap', '.db3'}:
         session.serial, measured = _bag_facts(path, recording, int(t_us[0]), reference)
     last = len(t_s)
     if pulls:
-        last, contact = last_contact(t_s, session.force_n)
+        last, contact = last_contact(t_s, force_n)
         aside = forces[contact, 1] + 1j * forces[contact, 2]
         session.pulls = find_plateaus(t_s[contact], aside, len(pulls), PULL)
     count = len(loads) if measured is None else None
-    session.plateaus = find_plateaus(t_s[:last], session.force_n[:last], count)
+    session.plateaus = find_plateaus(t_s[:last], force_n[:last], count)
     if measured is not None:
         session.measure(*measured)
     return session
@@ -131,12 +123,10 @@ def from_bag(
 UNUSABLE: Final = {Reason.ZERO_UNKNOWN, Reason.OTHER_CAMERA, Reason.FRAME_FROZEN, Reason.STALE}
 """Estimates with one of these reasons do not show the force of their moment. All others are used:
 loads that disagree, or a zero that does not return, reveal a wrong one."""
-DOUBTED_SHARE: Final = 0.1
-"""Share of other estimates that are not valid, above which the user is warned."""
 
 
-def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64, list[str]]:
-    """Return window ends [us, recorded camera clock], estimates of a recording, and warnings.
+def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64]:
+    """Return window ends [us, recorded camera clock] and the estimates of a recording.
 
     Estimates are the normal force, and that along x and y, NaN where it is unknown [N], [T, 3].
     """
@@ -145,24 +135,17 @@ def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F6
     # A recording for a calibration begins without a load.
     estimator = ForceEstimator(open_estimator(model), assume_free=True)
     rows: list[tuple[float, ...]] = []
-    reasons: Counter[Reason] = Counter()
     for piece in recording.pieces():
         for frame in piece.frames:
             image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
             estimator.push_frame(image, frame.middle_us)
         if piece.advances:
             for each in estimator.push_events(piece.events, piece.until_us):
-                reasons[each.reason] += 1
                 if each.reason not in UNUSABLE:
                     x, y = (np.nan, np.nan) if each.shear is None else each.shear[:2]
                     rows.append((each.end_us, each.force, x, y))
-    doubts = [
-        f'{count / reasons.total():.0%} of the forces were not valid: {reason.text}'
-        for reason, count in reasons.most_common()
-        if reason is not Reason.TRUSTED and count > DOUBTED_SHARE * reasons.total()
-    ]
     table = np.array(rows, np.float64).reshape(-1, 4)
-    return table[:, 0].astype(np.int64), table[:, 1:], doubts
+    return table[:, 0].astype(np.int64), table[:, 1:]
 
 
 def _bag_facts(
@@ -199,9 +182,7 @@ STILL_N: Final = 0.04
 RECENT_S: Final = 6.0
 """Forces before this time are not used [s]: the load was still being put on."""
 PATIENCE_S: Final = 60.0
-"""Longest time for each step [s, sensor time]."""
-SILENCE_S: Final = 60.0
-"""Time without a force after which the sensor counts as dead [s]."""
+"""Longest time for each step [s]: of sensor time, and of host time without a force."""
 POLL_S: Final = 0.1
 """Time between two looks at the forces [s]."""
 
@@ -223,64 +204,69 @@ class LiveProcedure:
         self._begin = 0
 
     def lead(
-        self,
-        loads: Sequence[Load],
-        pulls: Sequence[Load] = (),
-        *,
-        known: bool = True,
-        scale: bool = False,
+        self, loads: Sequence[Load], pulls: Sequence[Load], prompt: str = 'Put {:g} g on'
     ) -> Session:
         """Prompt for one load after the other, and return their plateaus.
 
         Args:
             loads: Loads to ask for.
             pulls: Sideways loads to ask for afterwards, under the largest of the loads.
-            known: Use these loads even where a reference sensor measures them.
-            scale: A kitchen scale shows the load.
+            prompt: How to ask for a load, with a place for its grams.
 
         Raises:
             ForceCalibrationError: The measured loads do not allow a calibration.
             GraphError: A node failed.
         """
-        session = Session(loads=loads, pull_loads=pulls)
+        session = Session(loads, pulls)
         rest = self._tare()
-        how = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
         for load in loads:
-            self._ask(how.format(load.grams), 'press', force=load.force_n)
+            self._ask(prompt.format(load.grams), 'press', force=load.force_n)
             under = self._under(load, rest, PRESS)
             self._ask('Take it off', 'release')
-            rest = self._off(session.plateaus, under, rest, PRESS)
+            session.plateaus.append(self._full(under, PRESS))
+            rest = session.plateaus[-1].rests[-1]
         if pulls:
             press = max(loads, key=lambda load: load.force_n)
             # A contact that a pull holds at nothing is free to move aside.
             pull = {'force': press.force_n, 'pull_direction': 0.0}
-            self._ask(how.format(press.grams), 'pull', **pull, pull=0.0)
+            self._ask(prompt.format(press.grams), 'pull', **pull, pull=0.0)
             self._under(press, rest, PRESS)
-            aside = self._wait('rest', PULL, lambda stretch: stretch)
+            rest = self._wait('rest', PULL, lambda stretch: stretch)
             for load in pulls:
                 self._ask(f'Pull it aside with {load.grams:g} g', 'pull', **pull, pull=load.force_n)
-                under = self._under(load, aside, PULL)
+                under = self._under(load, rest, PULL)
                 self._ask('Take only the mass off its thread', 'pull', **pull, pull=0.0)
-                aside = self._off(session.pulls, under, aside, PULL)
+                session.pulls.append(self._full(under, PULL))
+                rest = session.pulls[-1].rests[-1]
             self._ask('Take everything off', 'release')
-        session.t_s, session.force_n = self._series(PRESS)
         session.serial = self._monitor.serial
-        if not known and self._monitor.measured.received > 0:
-            session.measure(*self._reference())
         return session
 
+    def reference(self) -> tuple[F64, F64]:
+        """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
+        (arrival_ns, stamps_ns), _ = self._monitor.estimate.samples()
+        (times_ns, _), force_n = self._monitor.measured.samples()
+        # What arrived together belongs together.
+        at_ns = np.interp(
+            times_ns - arrival_ns[0], arrival_ns - arrival_ns[0], stamps_ns - stamps_ns[0]
+        )
+        return 1e-9 * at_ns, force_n
+
     def _tare(self) -> Stretch:
+        def still(stretch: Stretch) -> Stretch | None:
+            return stretch if stretch.sd_n < STILL_N else None
+
         self._console.print('Take everything off the gel and leave the sensor alone.')
         if not self._yes:
             try:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
                 raise GraphError('no terminal to read Enter from', remedy='give --yes') from error
-        self._wait('still and free', PRESS, _still)
+        self._wait('still and free', PRESS, still)
         self._monitor.trigger('fger/tare')
         # The estimate starts over: earlier forces belong to another zero.
         self._begin = self._count()
-        return self._wait('zero', PRESS, _still)
+        return self._wait('zero', PRESS, still)
 
     def _ask(self, prompt: str, gesture: str, **settings: float) -> None:
         """Ask for a load, or apply it to a virtual sensor that is operated."""
@@ -299,18 +285,17 @@ class LiveProcedure:
         self._console.print(f'  {load.grams:g} g: estimate {found.size_n:.3f} N')
         return found
 
-    def _off(self, plateaus: list[Plateau], under: Plateau, rest: Stretch, kind: Kind) -> Stretch:
-        """Add a plateau, relative to the rests before and after it; return the rest after it."""
-        full = self._wait('rest', kind, lambda after: plateau_of(under.span, rest, after, kind))
-        plateaus.append(full)
-        return full.rests[-1]
+    def _full(self, under: Plateau, kind: Kind) -> Plateau:
+        """Return a plateau relative to the rests before and after it, once the load is off."""
+        (rest,) = under.rests
+        return self._wait('rest', kind, lambda after: plateau_of(under.span, rest, after, kind))
 
     def _wait(self, what: str, kind: Kind, find: Callable[[Stretch], T | None]) -> T:
         """Wait until `find` accepts a steady stretch from now on, and show the force meanwhile.
 
         Raises:
             ForceCalibrationError: No stretch was accepted in time.
-            GraphError: No force arrives for `SILENCE_S`.
+            GraphError: A node ended, or no force arrives for `PATIENCE_S`.
         """
         first = seen = self._count()
         heard_s = time.monotonic()
@@ -321,8 +306,8 @@ class LiveProcedure:
                 count = self._count()
                 if count > seen:
                     heard_s, seen = time.monotonic(), count
-                elif time.monotonic() - heard_s > SILENCE_S:
-                    raise GraphError(f'no force for {SILENCE_S:.0f} s while waiting for {what}')
+                elif time.monotonic() - heard_s > PATIENCE_S:
+                    raise GraphError(f'no force for {PATIENCE_S:.0f} s while waiting for {what}')
                 if seen - first < 2:
                     continue
                 t_s, series = (each[first - self._begin :] for each in self._series(kind))
@@ -347,17 +332,3 @@ class LiveProcedure:
         (_, stamps_ns), force_n = self._monitor.estimate.samples()
         series = force_n[:, 0] if kind is PRESS else force_n[:, 1] + 1j * force_n[:, 2]
         return 1e-9 * (stamps_ns[self._begin :] - stamps_ns[0]), series[self._begin :]
-
-    def _reference(self) -> tuple[F64, F64]:
-        """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
-        (arrival_ns, stamps_ns), _ = self._monitor.estimate.samples()
-        (times_ns, _), force_n = self._monitor.measured.samples()
-        # What arrived together belongs together.
-        at_ns = np.interp(
-            times_ns - arrival_ns[0], arrival_ns - arrival_ns[0], stamps_ns - stamps_ns[0]
-        )
-        return 1e-9 * at_ns, force_n
-
-
-def _still(stretch: Stretch) -> Stretch | None:
-    return stretch if stretch.sd_n < STILL_N else None

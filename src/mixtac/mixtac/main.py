@@ -219,8 +219,6 @@ def error_text(error: Any) -> str:  # noqa: ANN401
     if isinstance(error, OSError):
         # A full disk, or a name that is too long.
         return f'{error.filename or ""}: {error.strerror or error}'.removeprefix(': ')
-    if possible := getattr(error, 'possibilities', None):
-        return f'{error.message.rstrip(".")}. Did you mean {" or ".join(possible)}?'
     return str(error.format_message())
 
 

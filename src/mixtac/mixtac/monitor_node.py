@@ -170,11 +170,11 @@ class Monitor(ExitStack):
                         time.sleep(0.05)
                     raise GraphError(f'{name} could not be started: {why or "see its log"}')
 
-    def listen(self) -> None:
-        """Subscribe and start receiving."""
+    def listen(self, reference: str = topics.REFERENCE) -> None:
+        """Subscribe and start receiving; `reference` is the topic of the reference force."""
         node = self._node
         node.subscribe_topic(replace(topics.FORCE, depth=DEPTH), self.estimate.add)
-        node.subscribe_topic(topics.REFERENCE_WRENCH, self.measured.add)
+        node.subscribe_topic(topics.REFERENCE_WRENCH, self.measured.add, name=reference)
         node.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
         node.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
         self._thread.start()

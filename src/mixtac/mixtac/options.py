@@ -5,14 +5,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Literal, Optional
 
 import typer
 
 from mixtac_core.node.files import writable
-from mixtac_core.recordings.dataset import SPLITS
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 JsonFile = Annotated[
@@ -49,18 +47,6 @@ def _checked_name(value: str, kind: str, valid: bool) -> str:
     return value
 
 
-def one_of(*names: str) -> Callable[[str], str]:
-    """Return a callback that accepts only the given words, and returns them in lower case."""
-
-    def check(value: str) -> str:
-        if value.lower() not in names:
-            known = ', '.join(filter(None, names))
-            raise typer.BadParameter(f'{value[:_LONGEST]!r}: choose one of {known}')
-        return value.lower()
-
-    return check
-
-
 _LONGEST = 200
 Namespace = Annotated[
     str,
@@ -71,7 +57,7 @@ ParamsFile = Annotated[
     typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),
 ]
 Split = Annotated[
-    str, typer.Option(help='Split in dataset.yaml: train, test.', callback=one_of('', *SPLITS))
+    Literal['', 'train', 'test'], typer.Option(help='Split in dataset.yaml: train, test.')
 ]
 RunTime = Annotated[
     float, typer.Option('--seconds', min=0, help='Run time (s); 0 runs until Ctrl-C.')

@@ -8,29 +8,111 @@ The recorder node is for machines without `ros2 bag record`.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import median
+from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.serialization import deserialize_message
 from rosbags.interfaces import Connection
 
-from mixtac.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac.monitor_node import CommandNode
 from mixtac.parameters import RecorderParameters
 from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.packets import CodecError, header_stamp_ns, read_packet
+from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.node import topics
 from mixtac_core.node.base_node import declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE, REFERENCE_WRENCH, TOPICS
+from mixtac_core.node.topics import Topic
 from mixtac_core.recordings.bag_writer import BagWriter
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_core.recordings.recording import RecordingError
 
-DEPTH = 1000
+EVEN: Final = {topics.REFERENCE} | {
+    each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topics.TRUTH_WRENCH)
+}
+"""Topics whose stamps are evenly spaced."""
+GAP: Final = 1.5
+"""A message is missing if two stamps are this many usual intervals apart."""
+LEARNING: Final = 16
+"""Number of latest intervals whose median is the usual one."""
+DEPTH: Final = 1000
 """Least queue depth of a subscription: messages of about one second."""
+
+
+class TopicMeter:
+    """Counts the messages of one topic.
+
+    Args:
+        topic: The topic.
+        even: Whether its stamps are evenly spaced.
+
+    Attributes:
+        topic: As given.
+        messages: Messages that arrived whole.
+        size: Their serialised size [bytes].
+        missing: Messages lost: by the numbers of event packets, by gaps in the stamps of evenly
+            spaced topics; or damaged.
+    """
+
+    def __init__(self, topic: Topic, *, even: bool) -> None:
+        self.topic, self._even = topic, even
+        self._sequence = SequenceCounter()
+        self._intervals_ns: deque[int] = deque(maxlen=LEARNING)
+        self._stamp_ns = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Count from zero; the usual interval stays known."""
+        self.messages = self.size = self.missing = 0
+        self._first_ns = self._last_ns = 0
+
+    def add(self, received_ns: int, data: bytes) -> bool:
+        """Count a serialised message, arrived at a host time [ns]; return whether it is whole."""
+        try:
+            if self.topic.type_name == topics.EVENTS.type_name:
+                self.missing += self._sequence.update(read_packet(data).seq)
+            elif self._even:
+                self._follow_stamp(header_stamp_ns(data))
+        except CodecError:
+            self.missing += 1
+            return False
+        self.messages += 1
+        self.size += len(data)
+        self._first_ns = self._first_ns or received_ns
+        self._last_ns = received_ns
+        return True
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second between first and latest arrival."""
+        span_ns = self._last_ns - self._first_ns
+        return (self.messages - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
+
+    def figures(self) -> dict[str, float]:
+        """Return the figures of the topic for dataset.yaml."""
+        return {
+            'messages': self.messages,
+            'rate_hz': round(self.rate_hz, 3),
+            'octets': self.size,
+            'missing': self.missing,
+        }
+
+    def _follow_stamp(self, stamp_ns: int) -> None:
+        last_ns, self._stamp_ns = self._stamp_ns, stamp_ns
+        interval_ns = stamp_ns - last_ns
+        if not last_ns or interval_ns <= 0:
+            return
+        if len(self._intervals_ns) == LEARNING:
+            # The median of the latest ones follows a change of the exposure interval.
+            usual_ns = median(self._intervals_ns)
+            if interval_ns > GAP * usual_ns:
+                self.missing += round(interval_ns / usual_ns) - 1
+        self._intervals_ns.append(interval_ns)
 
 
 class Listener(CommandNode):
@@ -45,16 +127,13 @@ class Listener(CommandNode):
     Attributes:
         meters: One per topic.
         writer: The bag that is written, or None.
-        simulated: Whether a node reports simulated data on `/diagnostics`.
-        serial: Hardware id of the driver, empty before it is known.
     """
 
-    def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
+    def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
         super().__init__(name, namespace=namespace)
         self.meters: list[TopicMeter] = []
         self.writer: BagWriter | None = None
-        self.simulated = False
-        self.serial = ''
+        self._simulated, self._serial = False, ''
         self._connections: dict[str, Connection] = {}
         self._began_ns = 0
 
@@ -68,31 +147,29 @@ class Listener(CommandNode):
         Raises:
             RecordingError: There is no topic of such a name.
         """
-        names = {each.name for each in TOPICS}
+        names = {each.name for each in topics.TOPICS}
         if unknown := set(exclude) - names:
             raise RecordingError(
                 f'no topic {min(unknown)} to exclude',
                 remedy=f'choose from {", ".join(sorted(names))}',
             )
+        reference = replace(topics.REFERENCE_WRENCH, name=reference_topic)
         namespace = self.get_namespace()
-        own = {each.resolved(namespace) for each in TOPICS if each.name != REFERENCE}
-        if replace(REFERENCE_WRENCH, name=reference_topic).resolved(namespace) in own:
+        own = {each.resolved(namespace) for each in topics.TOPICS if each.name != topics.REFERENCE}
+        if reference.resolved(namespace) in own:
             raise RecordingError(
                 f'{reference_topic} is a topic of the sensor, not of its reference',
                 remedy='name the topic of the reference force sensor',
             )
-        for each in TOPICS:
+        for each in topics.TOPICS:
             if each.name in exclude:
                 continue
-            reference = each.name == REFERENCE
-            chosen = replace(
-                each,
-                name=reference_topic if reference else each.name,
-                depth=1 if each.latched else max(DEPTH, each.depth),
-            )
-            meter = TopicMeter(chosen, even=reference or each.name in EVEN)
+            topic = reference if each.name == topics.REFERENCE else each
+            topic = replace(topic, depth=1 if topic.latched else max(DEPTH, topic.depth))
+            meter = TopicMeter(topic, even=each.name in EVEN)
             self.meters.append(meter)
-            self.subscribe_topic(chosen, partial(self._on_message, meter), raw=True)
+            self.subscribe_topic(topic, partial(self._on_message, meter), raw=True)
+        self.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
 
     def start(self, output: Path) -> None:
         """Start writing to a new bag; figures count from now.
@@ -100,24 +177,20 @@ class Listener(CommandNode):
         Raises:
             RecordingError: The folder exists already or cannot be made.
         """
-        writer = BagWriter(output)
-        try:
-            for meter in self.meters:
-                meter.restart()
-                topic = meter.topic
-                self._connections[topic.name] = writer.add_topic(
-                    topic.resolved(self.get_namespace()),
-                    topic.type_name,
-                    latched=topic.latched,
-                )
-        except Exception:
-            writer.close()
-            raise
+        self.writer = BagWriter(output)
+        for meter in self.meters:
+            meter.restart()
+            name, kind = meter.topic.resolved(self.get_namespace()), meter.topic.type_name
+            self._connections[meter.topic.name] = self.writer.add_topic(
+                name, kind, latched=meter.topic.latched
+            )
         self._began_ns = time.time_ns()
-        self.writer = writer
 
-    def finish(self) -> RecordingSummary | None:
-        """Write the queued messages and close the bag; return its summary, None without a bag.
+    def finish(self) -> dict[str, Any] | None:
+        """Write the queued messages and close the bag.
+
+        Returns:
+            Length [s] and losses for dataset.yaml; None without a bag.
 
         Raises:
             RecordingError: The bag could not be finished.
@@ -128,9 +201,15 @@ class Listener(CommandNode):
         seconds = (time.time_ns() - self._began_ns) / 1e9
         writer.close()
         figures = {meter.topic.name: meter.figures() for meter in self.meters if meter.messages}
-        return RecordingSummary(
-            seconds, writer.dropped, self.simulated, self.serial, figures, writer.failure
-        )
+        return {
+            'seconds': round(seconds, 3),
+            'simulated': self._simulated,
+            'serial': self._serial,
+            'stopped': writer.failure,
+            'not_written': writer.dropped,
+            'not_arrived': sum(int(each['missing']) for each in figures.values()),
+            'topics': figures,
+        }
 
     def destroy_node(self) -> None:
         """Destroy the node; a bag that was not finished, because of an error, is now."""
@@ -140,35 +219,37 @@ class Listener(CommandNode):
             super().destroy_node()
 
     def _on_message(self, meter: TopicMeter, data: bytes) -> None:
-        received_ns = time.time_ns()
+        received_ns, name = time.time_ns(), meter.topic.name
         if not meter.add(received_ns, data):
             # Nobody could read it from the bag.
-            name = meter.topic.name
             self.get_logger().warning(f'damaged message on {name}', throttle_duration_sec=5.0)
-            return
-        if self.writer is not None:
-            self.writer.write(self._connections[meter.topic.name], received_ns, data)
-        if meter.topic.name == '/diagnostics':
-            self._on_diagnostics(data)
+        elif self.writer is not None:
+            self.writer.write(self._connections[name], received_ns, data)
 
-    def _on_diagnostics(self, data: bytes) -> None:
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         own = self.get_namespace().strip('/')
-        try:
-            reports = deserialize_message(data, DiagnosticArray).status
-        except rclpy_implementation.RMWError:
-            return
-        for status in reports:
+        for status in message.status:
             namespace, _, name = status.name.rpartition('/')
-            if namespace != own:
-                continue
-            if any(v.key == 'simulated' and v.value == 'True' for v in status.values):
-                self.simulated = True
-            if name == 'driver':
-                self.serial = status.hardware_id
+            if namespace == own:
+                self._simulated |= any(
+                    v.key == 'simulated' and v.value == 'True' for v in status.values
+                )
+                self._serial = status.hardware_id if name == 'driver' else self._serial
+
+
+def verdict(figures: Mapping[str, Any]) -> str:
+    """Return one line about length and losses of a recording, from its figures."""
+    lost = [f'{each["missing"]} of {n}' for n, each in figures['topics'].items() if each['missing']]
+    parts = [f'messages lost: {", ".join(lost)}'] if lost else []
+    if figures['not_written']:
+        parts.append(f'{figures["not_written"]} messages not written: the disk failed or is slow')
+    if figures['stopped']:
+        parts.append(f'ended early ({figures["stopped"]}), complete until then')
+    return f'{figures["seconds"]:.1f} s, {"; ".join(parts) or "no losses"}'
 
 
 class RecorderNode(Listener):
-    """Records from its start to its end; `mixtac record` adds figures."""
+    """Records from its start to its end; `mixtac record` adds progress."""
 
     def __init__(self) -> None:
         super().__init__('recorder')
@@ -180,29 +261,24 @@ class RecorderNode(Listener):
         self._output = Path(self._p.output)
         read_recordings(self._output.absolute().parent / FILE_NAME)
         self.listen(self._p.reference_topic, self._p.exclude.split())
-        self._failed = False
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
         self.start(self._output)
 
     def close(self) -> None:
         """Finish the bag."""
         try:
-            summary = self.finish()
-            if summary is None:
+            if (figures := self.finish()) is None:
                 return
-            add_recording(
-                self._output, summary.as_dict(), profile=self._p.profile, split=self._p.split
-            )
+            add_recording(self._output, figures, profile=self._p.profile, split=self._p.split)
         except MixtacError as error:
             self.get_logger().error(str(error))
             return
-        lossy = summary.dropped or summary.stopped
+        lossy = figures['not_written'] or figures['stopped']
         log = self.get_logger().warning if lossy else self.get_logger().info
-        log(f'{self._output}: {summary.seconds:.1f} s, {summary.verdict()}')
+        log(f'{self._output}: {verdict(figures)}')
 
     def _status(self) -> Status:
-        writer = self.writer
-        dropped = writer.dropped if writer else 0
+        dropped = self.writer.dropped if self.writer else 0
         missing = {m.topic.name: m.missing for m in self.meters if m.missing}
         values: dict[str, object] = {
             'messages dropped': dropped,
@@ -210,17 +286,13 @@ class RecorderNode(Listener):
             'bytes': sum(m.size for m in self.meters),
             **{f'lost {name}': count for name, count in missing.items()},
         }
-        if writer is not None and writer.failure:
-            if not self._failed:
-                self._failed = True
-                self.get_logger().error(
-                    f'{self._output}: recording stopped: {writer.failure}; what was recorded until'
-                    ' now is complete'
-                )
-            return Status(WARN, f'recording stopped: {writer.failure}', values)
-        if dropped:
-            return Status(WARN, f'{dropped} messages dropped: disk too slow', values)
-        return Status(WARN if missing else OK, 'recording', values)
+        text = 'recording'
+        if self.writer and self.writer.failure:
+            text = f'recording stopped: {self.writer.failure}; complete until then'
+            self.get_logger().error(f'{self._output}: {text}', once=True)
+        elif dropped:
+            text = f'{dropped} messages dropped: disk too slow'
+        return Status(WARN if dropped or missing else OK, text, values)
 
 
 main = partial(run, RecorderNode)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,6 @@ from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
 
 if TYPE_CHECKING:
-    from mixtac.virtual import VirtualProcess
     from mixtac_core.events.readings import Frame
     from mixtac_driver.camera import CameraBatch
     from mixtac_fger.estimator import EncodedFrame, Estimate
@@ -134,7 +133,7 @@ class Sensor:
         self._fger = build(FgerParameters, asdict(fger) if fger else {})
         if model:
             self._fger = replace(self._fger, model=model)
-        self._closing: list[Callable[[], object]] = []
+        self._closing = ExitStack()
         self._opening = threading.RLock()
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
@@ -173,19 +172,17 @@ class Sensor:
         with self._opening:
             if self.is_open:
                 raise SensorError('the sensor is open already', remedy='call close() first')
-            for latest in (self.pictures, self._forces):
-                latest.clear()
-            try:
-                self._supervisor = self._start()
-            except BaseException:
-                self._clean_up()
-                raise
+            self.pictures.clear()
+            self._forces.clear()
+            with ExitStack() as closing:
+                self._supervisor = self._start(closing)
+                self._closing = closing.pop_all()
 
     def close(self) -> None:
         """Stop and release the sensor; has no effect on a closed sensor."""
         with self._opening:
             self._supervisor = None
-            self._clean_up()
+            self._closing.close()
 
     def read(self, timeout_ms: float = LONG_MS) -> Reading:
         """Wait for a force that is newer than this call; see `Latest.read`."""
@@ -215,7 +212,7 @@ class Sensor:
             if name and reference is not None:
                 reference.save(state_file(name))
 
-    def _start(self) -> Supervisor:
+    def _start(self, closing: ExitStack) -> Supervisor:
         path = find_model(self._fger.model)
         model = read_model(path)
         for kernels, run_once in (
@@ -225,16 +222,16 @@ class Sensor:
         ):
             with compiling(kernels):
                 run_once()
-        parameters = self._driver_parameters()
+        parameters = self._driver_parameters(closing)
         kind = source_kind(parameters.device)
-        settings = replace(
-            self._fger, assume_free=self._fger.assume_free or kind is not SourceKind.CAMERA
-        )
+        settings = self._fger
+        if kind is not SourceKind.CAMERA:
+            settings = replace(settings, assume_free=True)
         self._driver = driver = DriverSettings(parameters)
         camera, pixel_filter = driver.camera_settings()
         self._source = source = make_source(camera, pixel_filter=pixel_filter)
         source.open()
-        self._closing.append(source.close)
+        closing.callback(source.close)
         identity = source.status().identity
         assert identity is not None  # noqa: S101  (it was opened)
         self._identity = identity
@@ -248,7 +245,7 @@ class Sensor:
         options = settings.estimator_options() | {'assume_free': settings.assume_free}
         self._settings = settings
         self._feed = ForceEstimator(estimator, background_frames=True, **options)
-        self._closing.append(self._feed.close)
+        closing.callback(self._feed.close)
         self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
         self._shown: EncodedFrame | None = None
         self._trusted = None
@@ -259,31 +256,21 @@ class Sensor:
             on_batch=self._on_batch,
             on_error=lambda _line: None,
         )
-        self._closing.append(supervisor.stop)
+        closing.callback(supervisor.stop)
         supervisor.start()
         return supervisor
 
-    def _driver_parameters(self) -> DriverParameters:
+    def _driver_parameters(self, closing: ExitStack) -> DriverParameters:
         device, _, rest = self.source.partition(':')
         if device == USB:
             return replace(self._parameters, device=DriverParameters.device, serial=rest)
         if device == VIRTUAL and not rest.startswith('/'):
             from mixtac.virtual import VirtualProcess
 
-            process: VirtualProcess = VirtualProcess(rest)
-            self._closing.append(process.close)
+            process = VirtualProcess(rest)
+            closing.callback(process.close)
             return replace(self._parameters, device=process.device)
         return replace(self._parameters, device=self.source)
-
-    def _clean_up(self) -> None:
-        failure = None
-        while self._closing:
-            try:
-                self._closing.pop()()
-            except Exception as error:  # noqa: BLE001 - everything is closed before it is raised
-                failure = failure or error
-        if failure is not None:
-            raise failure
 
     def _check(self) -> None:
         """Raise an error if no further reading can arrive."""
@@ -321,12 +308,19 @@ class Sensor:
         with self._estimating:
             estimates = self._feed.push_events(events, batch.time_us)
             self._show_frame()
-            for estimate in estimates:
-                if estimate.valid:
-                    self._trusted = estimate
+            self._trusted = next((e for e in reversed(estimates) if e.valid), self._trusted)
         if estimates:
-            shown = given_estimate(estimates[-1], self._settings.invalid_force, self._trusted)
-            self._forces.put(reading_of(estimates[-1], None if shown is None else shown.force))
+            latest = estimates[-1]
+            shown = given_estimate(latest, self._settings.invalid_force, self._trusted)
+            reading = Reading(
+                stamp_us=latest.end_us,
+                force=math.nan if shown is None else shown.force,
+                deviation=math.nan if latest.deviation is None else latest.deviation,
+                valid=latest.valid,
+                reason=latest.reason,
+                frame_age_s=latest.frame_age_us * 1e-6,
+            )
+            self._forces.put(reading)
 
     def _on_frame(self, frame: Frame, origin_us: int) -> None:
         image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
@@ -348,20 +342,3 @@ class Sensor:
         for mid_us, image in self._images:
             if mid_us == frame.mid_us:
                 self.pictures.put(Picture(mid_us, image, difference))
-
-
-def reading_of(estimate: Estimate, force_n: float | None) -> Reading:
-    """Return the reading of an estimate.
-
-    Args:
-        estimate: The estimate.
-        force_n: Its force by the setting `invalid_force` [N]; None where it is withheld.
-    """
-    return Reading(
-        stamp_us=estimate.end_us,
-        force=math.nan if force_n is None else force_n,
-        deviation=math.nan if estimate.deviation is None else estimate.deviation,
-        valid=estimate.valid,
-        reason=estimate.reason,
-        frame_age_s=estimate.frame_age_us * 1e-6,
-    )

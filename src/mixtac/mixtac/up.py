@@ -13,17 +13,17 @@ from __future__ import annotations
 import importlib.util
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import typer
 from rich.console import Console
+from rich.live import Live
 
-from mixtac.live import sensor_values, show
-from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
-from mixtac.view import require_rerun
-from mixtac_core.node.files import writable
+from mixtac.figures import make_table
+from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime
 from mixtac_core.node.graph import (
     NodeSpec,
     is_virtual,
@@ -37,7 +37,13 @@ from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
 from mixtac_core.recordings.camera_stream import open_recording
 
+if TYPE_CHECKING:
+    from mixtac.monitor_node import Monitor
+
 POLL_S = 0.2
+"""Time between two looks at processes, and between two updates of the live table [s]."""
+LINE_PERIOD_S = 5.0
+"""Time between two lines where the output is not a terminal [s]."""
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
 """Stopped in this order, so that no node loses another that it needs."""
 
@@ -83,9 +89,6 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
         processes.check()
 
 
-LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
-
-
 def up(
     context: typer.Context,
     device: Annotated[
@@ -94,7 +97,8 @@ def up(
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
     log_level: Annotated[
-        str, typer.Option(help='debug, info, warn, error or fatal.', callback=one_of(*LEVELS))
+        Literal['debug', 'info', 'warn', 'error', 'fatal'],
+        typer.Option(help='Lowest severity that the nodes log.'),
     ] = 'info',
     seconds: RunTime = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
@@ -117,6 +121,8 @@ def up(
     from mixtac.monitor_node import Monitor
 
     if view:
+        from mixtac.view_node import require_rerun
+
         require_rerun()
     play = play and is_virtual(device)
     nodes = sensor_graph(
@@ -146,8 +152,13 @@ def up(
                 f'sensor active in namespace /{namespace.strip("/")}; press Ctrl-C to stop'
             )
             if is_virtual(device) or console.is_terminal:
-                values = sensor_values(monitor, reference=is_virtual(device))
-                show(console, time_left(seconds, processes.check), values)
+
+                def doing() -> str:
+                    processes.check()
+                    return left()
+
+                left = time_left(seconds)
+                show(console, doing, lambda: sensor_values(monitor, is_virtual(device)))
                 return
         run_until(processes, seconds)
 
@@ -194,24 +205,18 @@ def show_without_ros(device: str, model: str, seconds: float) -> None:
     with Sensor(source, model=model) as sensor:
         sensor.read()
 
-        def values() -> dict[str, float | str]:
-            reading = sensor.read()
-            return {'force': reading.force, 'reading': str(reading)}
-
-        show(console, time_left(seconds), values)
+        show(console, time_left(seconds), lambda: {'force': str(sensor.read())})
 
 
-def time_left(seconds: float, check: Callable[[], None] = lambda: None) -> Callable[[], str]:
+def time_left(seconds: float) -> Callable[[], str]:
     """Return a function that returns the remaining time as text, and an empty text at the end.
 
     Args:
         seconds: Duration from now on [s]; 0 runs until interrupted.
-        check: Called each time; raises when a process has ended.
     """
     end_s = time.monotonic() + seconds
 
     def doing() -> str:
-        check()
         left_s = end_s - time.monotonic()
         if not seconds:
             return 'press Ctrl-C to stop'
@@ -220,10 +225,51 @@ def time_left(seconds: float, check: Callable[[], None] = lambda: None) -> Calla
     return doing
 
 
+def show(
+    console: Console, doing: Callable[[], str], values: Callable[[], Mapping[str, str]]
+) -> None:
+    """Show values until `doing` returns an empty text: a table in a terminal, else lines.
+
+    Args:
+        console: Where to show them.
+        doing: Returns the present state of the sensor. Called several times a second; its errors
+            end the table.
+        values: Returns what to show, by name.
+    """
+    terminal, due_s = console.is_terminal, time.monotonic()
+    table = Live(console=console)
+    with table if terminal else nullcontext():
+        while text := doing():
+            if terminal:
+                table.update(make_table(f'Mixtac: {text}', ('', ''), values().items(), words=2))
+            elif time.monotonic() >= due_s:
+                due_s += LINE_PERIOD_S
+                line = '  '.join(f'{name} {value}' for name, value in values().items())
+                console.print(f'{text}: {line}', soft_wrap=True)
+            time.sleep(POLL_S)
+
+
+def sensor_values(monitor: Monitor, reference: bool) -> dict[str, str]:
+    """Return forces and rates of a running graph for `show`.
+
+    Args:
+        monitor: Listens to the graph.
+        reference: Show the reference force too.
+    """
+    shown = {'estimate': f'{monitor.estimate.latest_n:7.3f} N'}
+    if reference:
+        shown['reference'] = f'{monitor.measured.latest_n:7.3f} N'
+    rates = [('fger', 'rate_hz', 'forces/s')]
+    rates += [('driver', f'{key} per second', f'{key}/s') for key in ('events', 'frames')]
+    for name, key, unit in rates:
+        if key in (found := monitor.values(name)):
+            shown[unit] = f'{float(found[key]):.0f}'
+    return shown
+
+
 def slip(
     object_name: Annotated[
-        str,
-        typer.Option('--object', help='box, cup or ball.', callback=one_of('box', 'cup', 'ball')),
+        Literal['box', 'cup', 'ball'], typer.Option('--object', help='Held object.')
     ] = 'box',
     disturb: Annotated[
         float,
@@ -235,21 +281,14 @@ def slip(
         float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
     ] = 8.0,
     preset: Annotated[
-        str,
-        typer.Option(
-            help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.',
-            callback=one_of('easy', 'paper_like', 'hard', 'varied'),
-        ),
+        Literal['easy', 'paper_like', 'hard', 'varied'],
+        typer.Option(help='Difficulty of the simulated sensor.'),
     ] = 'paper_like',
     seed: Annotated[
         int,
         typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
     ] = 1,
     seconds: RunTime = 0.0,
-    figure: Annotated[
-        Path,
-        typer.Option(help='Figure of the impacts, written at the end.', callback=writable),
-    ] = Path('slip.png'),
 ) -> None:
     """Hold a simulated object against disturbances with the real driver and slip control."""
     from mixtac.monitor_node import Monitor
@@ -268,11 +307,7 @@ def slip(
             'publish_force': False,
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
-        supervisor = {
-            'knock_every': every if disturb > 0.0 else 0.0,
-            'figure': str(figure.absolute()),
-            **simulated,
-        }
+        supervisor = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
         # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
             f'virtual:{socket}',
@@ -316,6 +351,8 @@ def view(
     params_file: ParamsFile = None,
 ) -> None:
     """Show a running sensor in the browser: events, frame, force, contact, state."""
+    from mixtac.view_node import require_rerun
+
     require_rerun()
     with ProcessGroup() as processes:
         start_nodes(processes, [live_view(port, save)], namespace, params_file)

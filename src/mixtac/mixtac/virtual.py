@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
+import threading
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +28,7 @@ LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
 REPORT_S: Final = 10.0
-"""Time between two lines while a virtual sensor starts [s]."""
+"""A start that takes longer is reported [s]."""
 
 
 class VirtualProcess:
@@ -50,28 +50,18 @@ class VirtualProcess:
         self._process = subprocess.Popen(
             ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
-        found = self._answer()
+        text = 'waiting for the virtual sensor: a first start compiles for half a minute'
+        report = threading.Timer(REPORT_S, print, [text], {'file': sys.stderr})
+        report.daemon = True
+        report.start()
+        assert self._process.stdout is not None  # noqa: S101  (always piped)
+        found = json.loads(self._process.stdout.readline() or '{}')
+        report.cancel()
         if not found.get('device'):
             self.close()
             why = found.get('error') or 'the virtual sensor ended before it was ready'
             raise SensorError(str(why), remedy='see what it printed')
         self.device = str(found['device'])
-
-    def _answer(self) -> dict[str, str]:
-        """Wait for the line of JSON as long as the process runs; return nothing if it ended."""
-        output, began_s = self._process.stdout, time.monotonic()
-        assert output is not None  # noqa: S101  (always piped)
-        while True:
-            if not select.select([output], [], [], REPORT_S)[0]:
-                waited_s = time.monotonic() - began_s
-                text = (
-                    f'waiting for the virtual sensor for {waited_s:.0f} s: a first start compiles'
-                )
-                print(text, file=sys.stderr)
-            elif not (line := output.readline()):
-                return {}
-            elif line.startswith(b'{'):
-                return dict(json.loads(line))
 
     def close(self) -> None:
         """End the process."""

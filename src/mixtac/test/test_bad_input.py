@@ -140,7 +140,6 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
         ('up slip', '--every', '-1'),
         ('up slip', '--seed', '-1'),
         ('up slip', '--seed', '10000000'),
-        ('demo', '--device-seed', '10000000'),
     ],
 )
 def test_wrong_options_of_simulations_are_named_before_anything_starts(

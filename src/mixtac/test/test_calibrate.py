@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 import sys
 from pathlib import Path
 
@@ -76,10 +76,8 @@ def run_cli(*arguments):
 
 
 def test_a_bag_gives_a_camera_file(tmp_path, bag):
-    result = run_cli(
-        *(bag, '--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml'),
-        *('--json', tmp_path / 'result.json'),
-    )
+    words = ('--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml')
+    result = run_cli(bag, *words)
     assert result.exit_code == 0, result.output
     calibration = read_camera_info(tmp_path / 'camera.yaml')
     fx, fy, cx, cy, _ = WIDE['equidistant']
@@ -88,20 +86,18 @@ def test_a_bag_gives_a_camera_file(tmp_path, bag):
     assert calibration.camera_matrix[1, 1] == pytest.approx(fy, rel=0.01)
     assert calibration.camera_matrix[0, 2] == pytest.approx(cx, abs=0.5)
     assert calibration.camera_matrix[1, 2] == pytest.approx(cy, abs=0.5)
-    summary = json.loads((tmp_path / 'result.json').read_text())
-    assert summary['reprojection_error_px']['rms'] < 0.3
-    assert summary['images'] == 19
-    assert summary['boards'] >= 13
-    assert summary['views'] > 8
-    assert str(summary['boards']) in result.output
+    error, views = re.search(r'error ([0-9.]+) px, (\d+) views', result.output).groups()
+    assert float(error) < 0.3
+    assert int(views) > 8
+    boards, images = re.search(r'found in (\d+) of (\d+) images', result.output).groups()
+    assert int(boards) >= 13
+    assert int(images) == 19
 
 
 def test_without_out_it_goes_where_the_driver_looks(tmp_path, bag, monkeypatch):
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
-    calibrate(bag=bag, name='fingertip', alpha=0.5, json=tmp_path / 'result.json')
-    saved = read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml')
-    projection = json.loads((tmp_path / 'result.json').read_text())['projection']
-    np.testing.assert_array_equal(saved.projection.ravel(), projection)
+    calibrate(bag=bag, name='fingertip')
+    assert read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml').name == 'fingertip'
 
 
 def test_few_views_are_refused_and_nothing_is_written(tmp_path, frames):

@@ -14,7 +14,6 @@ import pytest
 from mixtac.main import main
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
-MODEL = Path(__file__).resolve().parents[3] / 'models' / 'fger_small.safetensors'
 
 
 def mixtac(env: dict[str, str], *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -89,11 +88,6 @@ def test_the_version_is_printed(capsys):
     assert version('mixtac') in capsys.readouterr().out
 
 
-def test_every_command_has_a_short_name_of_its_help(commands):
-    for command in commands.values():
-        assert '-h' in command.context_settings['help_option_names']
-
-
 @pytest.mark.parametrize('delay_s', [0.0, 0.3, 1.0])
 def test_ctrl_c_while_a_command_starts_ends_it_with_one_line(ros_domain, tmp_path, delay_s):
     words = [sys.executable, '-c', INTERRUPTING, str(delay_s), 'doctor', '--device', 'virtual']
@@ -125,25 +119,6 @@ def test_no_camera_names_the_virtual_one(ros_domain: dict[str, str], tmp_path: P
     assert_one_clear_line(result, 'device:=virtual')
 
 
-def with_model(tmp_path: Path, model: Path) -> str:
-    path = tmp_path / 'params.yaml'
-    path.write_text(f"/**/fger:\n  ros__parameters:\n    model: '{model}'\n")
-    return str(path)
-
-
-def up_with_model(env: dict[str, str], tmp_path: Path, model: Path):
-    params = with_model(tmp_path, model)
-    return mixtac(
-        env, 'up', '--device', 'virtual', '--params-file', params, '--seconds', '30', cwd=tmp_path
-    )
-
-
-@pytest.mark.dds
-def test_a_missing_model_is_named(ros_domain: dict[str, str], tmp_path: Path):
-    result = up_with_model(ros_domain, tmp_path, tmp_path / 'nowhere.safetensors')
-    assert_one_clear_line(result, 'fger', 'nowhere.safetensors')
-
-
 def test_up_refuses_a_missing_model_before_anything_starts(
     ros_domain: dict[str, str], tmp_path: Path
 ):
@@ -151,17 +126,10 @@ def test_up_refuses_a_missing_model_before_anything_starts(
     assert_one_clear_line(mixtac(ros_domain, 'up', *options, cwd=tmp_path), 'nowhere.safetensors')
 
 
-def test_evaluating_a_missing_model_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
-    result = mixtac(ros_domain, 'evaluate', '--model', 'nowhere.safetensors', cwd=tmp_path)
-    assert_one_clear_line(result, 'nowhere.safetensors')
-
-
-def test_a_truncated_bag_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
-    from mixtac_core.recordings.bag_writer import BagWriter
-
-    writer = BagWriter(tmp_path / 'bag')
-    writer.add_topic('/mixtac/force', 'geometry_msgs/msg/WrenchStamped', latched=False)
-    writer.close()
-    data = next((tmp_path / 'bag').glob('*.mcap'))
-    data.write_bytes(data.read_bytes()[:-40])
-    assert_one_clear_line(mixtac(ros_domain, 'inspect', 'bag', cwd=tmp_path), 'bag')
+@pytest.mark.dds
+def test_the_error_of_a_node_is_that_of_up(ros_domain: dict[str, str], tmp_path: Path):
+    params = tmp_path / 'params.yaml'
+    params.write_text('/**/fger:\n  ros__parameters:\n    model: nowhere.safetensors\n')
+    options = ('--device', 'virtual', '--params-file', str(params), '--seconds', '30')
+    result = mixtac(ros_domain, 'up', *options, cwd=tmp_path)
+    assert_one_clear_line(result, 'fger', 'nowhere.safetensors')

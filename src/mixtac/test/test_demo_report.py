@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mixtac.demo import Streams, compare, latency_ms, lost_windows, read_streams
+from mixtac.demo import Run, compare, read_run
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node import topics
@@ -22,7 +21,7 @@ from mixtac_core.recordings.stream_writer import StreamWriter
 def test_the_streams_of_a_bag_are_read(tmp_path):
     with McapBag(tmp_path / 'bag') as bag:
         writer = StreamWriter(bag, (346, 260))
-        for topic in (topics.FORCE, topics.FORCE_QUALITY, topics.REFERENCE_WRENCH):
+        for topic in (topics.FORCE, topics.REFERENCE_WRENCH):
             writer.put(topic, 7, blank_message(topic.type_name))
         for index in range(3):
             t = np.array([1000 * index], np.int64)
@@ -33,40 +32,9 @@ def test_the_streams_of_a_bag_are_read(tmp_path):
             message.encoding, message.time_base = encoded.encoding, encoded.time_base
             message.events = np.frombuffer(encoded.payload, np.uint8)
             writer.put(topics.EVENTS, 1_000_000 * index, message)
-    streams = read_streams(tmp_path / 'bag', 'mixtac')
-    assert streams.event_t_us.tolist() == [0, 1000, 2000]
-    assert len(streams.arrival_ns) == len(streams.complete_us) == 3
-    assert streams.force_arrival_ns.tolist() == [7]
-    assert streams.invalid == 1
-
-
-def streams_of(force_n, reference_n, complete_us=(), arrival_ns=()) -> Streams:
-    """Return a run with a force every 2 ms and a reference every 1 ms."""
-    nothing = np.empty(0, np.int64)
-    return Streams(
-        event_t_us=nothing,
-        complete_us=np.array(complete_us, np.int64),
-        arrival_ns=np.array(arrival_ns, np.int64),
-        invalid=0,
-        force_ns=2_000_000 * np.arange(1, len(force_n) + 1),
-        force_arrival_ns=nothing,
-        force_n=np.asarray(force_n),
-        reference_ns=1_000_000 * np.arange(len(reference_n)),
-        reference_n=np.asarray(reference_n),
-    )
-
-
-def test_the_latency_begins_with_the_packet_that_completes_the_window():
-    streams = replace(
-        streams_of([], [], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90]),
-        force_ns=np.array([1_500_000, 2_000_000, 9_000_000]),
-        force_arrival_ns=np.array([70, 80, 100]),
-    )
-    assert latency_ms(streams) == pytest.approx([1e-5, 2e-5, 1e-5])
-
-
-def test_missing_windows_are_counted():
-    assert lost_windows(np.array([0, 2, 4, 10]) * 1_000_000) == 2
+    run = read_run(tmp_path / 'bag', 'mixtac')
+    assert run.packets[:, 1].tolist() == [1, 1, 1]
+    assert run.forces_ns.tolist() == [[0, 7]]
 
 
 def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
@@ -76,15 +44,18 @@ def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
     def load(at_ms):
         return 0.8 * ((at_ms > 3000) & (at_ms < 5000)) + 0.5 * ((at_ms > 6000) & (at_ms < 7000))
 
-    streams = streams_of(load(force_ms) / 1.25, load(t_ms) + 0.02 + 1e-5 * t_ms)
+    run = Run(
+        packets=np.empty((0, 2), np.int64),
+        forces_ns=1_000_000 * np.stack([force_ms, force_ms], axis=1),
+        force_n=load(force_ms) / 1.25,
+        reference_ns=1_000_000 * t_ms,
+        reference_n=load(t_ms) + 0.02 + 1e-5 * t_ms,
+    )
     taps = [SimpleNamespace(camera_us=us) for us in (1_000_000, 9_000_000)]
     fit = SimpleNamespace(
         anchors=taps,
         to_camera=lambda s: np.rint(1e6 * s).astype(np.int64),
     )
-    comparison = compare(streams, fit, (1.5, 4.5))
-    assert comparison.zeros_n == pytest.approx((0.033, 0.107))
-    assert comparison.gain == pytest.approx(1.25, rel=1e-3)
-    assert not comparison.judged[(comparison.time_s > 1.5) & (comparison.time_s < 4.5)].any()
-    figures = comparison.figures()
+    figures = compare(run, fit, (1.5, 4.5)).figures
+    assert figures['gain'] == pytest.approx(1.25, rel=1e-3)
     assert figures['mae_n'] < 1e-3 < figures['mae_uncalibrated_n']

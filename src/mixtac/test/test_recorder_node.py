@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from typing import TYPE_CHECKING
 
@@ -16,14 +17,15 @@ rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
+from mixtac.recorder_node import TopicMeter, verdict  # noqa: E402
 from mixtac_core.events.arrays import Events  # noqa: E402
 from mixtac_core.events.codec import encode  # noqa: E402
 from mixtac_core.node.base_node import QOS_EVENTS  # noqa: E402
+from mixtac_core.node.topics import EVENTS, FORCE, IMAGE_RAW  # noqa: E402
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-pytestmark = pytest.mark.dds
 RECORDER = 'mixtac.recorder_node'
 PACKETS = 1500
 START_US = 1_790_000_000_000_000
@@ -92,6 +94,7 @@ def recorded(module_node_under_test, tmp_path_factory) -> Path:
     return bag
 
 
+@pytest.mark.dds
 def test_rosbags_alone_reads_every_packet_and_the_events_are_those_sent(recorded: Path):
     numbers = []
     with AnyReader([recorded]) as reader:
@@ -114,6 +117,7 @@ def test_rosbags_alone_reads_every_packet_and_the_events_are_those_sent(recorded
     assert described['not_written'] == 0
 
 
+@pytest.mark.dds
 @pytest.mark.parametrize(
     ('remap', 'namespace'), [((), 'mixtac'), (('__ns:=/left',), 'left'), (('__ns:=/',), '')]
 )
@@ -126,7 +130,7 @@ def test_the_recorder_is_in_the_namespace_of_the_sensor(
     node_under_test.spin_until(lambda: node_under_test.diagnostics(recorder))
     assert node_under_test.diagnostics(recorder)['messages dropped'] == '0'
     publisher = node_under_test.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-    node_under_test.spin_until(lambda: publisher.get_subscription_count() == 2)
+    node_under_test.spin_until(lambda: publisher.get_subscription_count() == 3)
     simulated = [KeyValue(key='simulated', value='True')]
     for serial, name in (('0042', driver), ('0043', f'other/{driver}')):
         status = DiagnosticStatus(name=name, hardware_id=serial, values=simulated)
@@ -136,3 +140,74 @@ def test_the_recorder_is_in_the_namespace_of_the_sensor(
     assert status == 0, output
     (described,) = yaml.safe_load((tmp_path / 'dataset.yaml').read_text())['trials']
     assert (described['serial'], described['simulated']) == ('0042', True)
+
+
+def stamped(stamp_ns: int) -> bytes:
+    return b'\0\1\0\0' + struct.pack('<iI', *divmod(stamp_ns, 10**9)) + bytes(8)
+
+
+def test_packets_missing_by_number_are_counted(packet):
+    meter = TopicMeter(EVENTS, even=False)
+    for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
+        meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.missing) == (6, 2)
+
+
+def test_frames_missing_by_their_stamps_are_counted():
+    meter = TopicMeter(IMAGE_RAW, even=True)
+    numbers = [n for n in range(60) if n not in {30, 40, 41}]
+    for n in numbers:
+        meter.add(n, stamped(10**9 + n * 25_000_000 + (n % 3) * 10_000))
+    assert (meter.messages, meter.missing) == (57, 3)
+
+
+def test_a_slower_rate_is_learned_and_not_counted_for_ever():
+    meter = TopicMeter(IMAGE_RAW, even=True)
+    stamps = [n * 25_000_000 for n in range(33)]
+    stamps += [stamps[-1] + (n + 1) * 100_000_000 for n in range(200)]
+    for stamp in stamps:
+        meter.add(stamp, stamped(10**9 + stamp))
+    assert 0 < meter.missing <= 3 * 17
+
+
+def test_a_restart_counts_from_zero():
+    meter = TopicMeter(FORCE, even=True)
+    for n in range(20):
+        meter.add(1 + n, stamped(10**9 + n * 2_000_000))
+    meter.restart()
+    meter.add(100, stamped(10**9 + 20 * 2_000_000))
+    assert (meter.messages, meter.missing, meter.rate_hz) == (1, 0, 0.0)
+
+
+def test_rate_is_that_of_the_arrivals():
+    meter = TopicMeter(FORCE, even=True)
+    for n in range(11):
+        meter.add(10**9 + n * 2_000_000, stamped(10**9 + n * 2_000_000))
+    assert meter.rate_hz == pytest.approx(500.0)
+
+
+def test_the_verdict_names_what_was_lost(packet):
+    meter = TopicMeter(EVENTS, even=False)
+    for seq in (0, 4):
+        meter.add(1, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    nothing = {'seconds': 1.0, 'not_written': 0, 'stopped': '', 'topics': {}}
+    assert 'no losses' in verdict(nothing)
+    said = verdict(nothing | {'not_written': 7, 'topics': {'events': meter.figures()}})
+    assert '3 of events' in said
+    assert '7 ' in said
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(8), b'\0\1\0\0' + b'\xff' * 30])
+def test_damaged_packets_are_lost(packet, data):
+    meter = TopicMeter(EVENTS, even=False)
+    assert not meter.add(10**9, data)
+    assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.missing) == (1, 1)
+
+
+def test_jitter_of_stamps_is_no_loss():
+    meter = TopicMeter(FORCE, even=True)
+    jitter = np.random.default_rng(0).normal(0.0, 0.1, 4000)
+    for n, part in enumerate(jitter):
+        meter.add(n, stamped(10**9 + int((n + part) * 1_250_000)))
+    assert meter.missing < 10

@@ -40,17 +40,16 @@ class Witness:
     """Starts `mixtac up slip` and notes what its nodes say."""
 
     def __init__(self, env: dict[str, str], log) -> None:
-        from geometry_msgs.msg import PointStamped, WrenchStamped
+        from geometry_msgs.msg import PointStamped
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import JointState
         from trajectory_msgs.msg import JointTrajectory
 
         from mixtac_core.node.base_node import QOS_FORCE, QOS_SENSOR
-        from mixtac_msgs.msg import ForceQuality, SlipState
+        from mixtac_msgs.msg import SlipState
 
         self.log = log
         options = ['--preset', 'easy', '--every', '2.0', '--disturb', '50.0']
-        options += ['--figure', str(log.with_suffix('.png'))]
         with log.open('w') as stream:
             self.process = subprocess.Popen(
                 [sys.executable, '-m', 'mixtac', 'up', 'slip', *options],
@@ -67,28 +66,15 @@ class Witness:
         self.executor.add_node(self.node)
         self.slipped_while_enabled = False
         self.trajectories: list[JointTrajectory] = []
-        self.ratios: list[float] = []
-        self.enabled, self.known = False, 0.0
         self.farthest_m = self.lowest_mm = 0.0
         listen = self.node.create_subscription
         listen(SlipState, '/mixtac/slip', self._on_slip, QOS_FORCE)
         listen(JointTrajectory, ARM_TOPIC, self.trajectories.append, 10)
         listen(JointState, '/joint_states', self._on_joints, QOS_SENSOR)
-        listen(ForceQuality, '/mixtac/force_quality', self._on_quality, QOS_FORCE)
-        listen(WrenchStamped, '/mixtac/truth/wrench', self._on_truth, QOS_FORCE)
         listen(PointStamped, '/mixtac/truth/object', self._on_place, QOS_FORCE)
 
     def _on_slip(self, message) -> None:
-        self.enabled = message.state == message.ENABLED
-        self.slipped_while_enabled |= message.slipping and self.enabled
-
-    def _on_truth(self, message) -> None:
-        self.known = message.wrench.force.z
-
-    def _on_quality(self, message) -> None:
-        if self.enabled and message.valid:
-            assert message.deviation > 0.0
-            self.ratios.append(message.force / self.known)
+        self.slipped_while_enabled |= message.slipping and message.state == message.ENABLED
 
     def _on_joints(self, message) -> None:
         moved = flange_place(np.array(message.position)) - flange_place(READY)
@@ -106,12 +92,6 @@ class Witness:
             assert time.monotonic() < deadline, self.words()[-3000:]
             assert self.process.poll() is None, self.words()[-3000:]
             self.executor.spin_once(timeout_sec=0.1)
-
-    def endpoints(self, topic: str) -> dict[str, tuple[str, str]]:
-        """Return type and reliability by the name of each node at a topic."""
-        ends = self.node.get_publishers_info_by_topic(topic)
-        ends += self.node.get_subscriptions_info_by_topic(topic)
-        return {e.node_name: (e.topic_type, e.qos_profile.reliability.name) for e in ends}
 
     def close(self) -> None:
         self.node.destroy_node()
@@ -132,16 +112,6 @@ def witness(ros_domain: dict[str, str], tmp_path) -> Iterator[Witness]:
     made.close()
 
 
-CONTRACT = {
-    '/mixtac/truth/wrench': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
-    '/mixtac/truth/object': ('virtual_grasp', 'geometry_msgs/msg/PointStamped', 'RELIABLE'),
-    '/mixtac/force': ('fger', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
-    '/clock': ('virtual_grasp', 'rosgraph_msgs/msg/Clock', 'RELIABLE'),
-    '/joint_states': ('virtual_arm', 'sensor_msgs/msg/JointState', 'RELIABLE'),
-    ARM_TOPIC: ('virtual_arm', 'trajectory_msgs/msg/JointTrajectory', 'RELIABLE'),
-}
-
-
 def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: Witness) -> None:
     witness.wait(lambda: 'the arm advanced' in witness.words())
     assert 'impact detected' in witness.words(), witness.words()
@@ -152,17 +122,9 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     assert witness.farthest_m > 1e-5
     assert 0.05 < witness.lowest_mm < FALLEN_MM
 
-    # Slip control got the estimate of a sensor that is not calibrated, never the truth itself.
+    # Slip control got the estimate, never the truth itself.
     publishers = witness.node.get_publishers_info_by_topic('/mixtac/force')
     assert [each.node_name for each in publishers] == ['fger']
-    assert np.std(witness.ratios) > 0.0
-    assert 0.4 < np.median(witness.ratios) < 1.6
-
-    for topic, (name, kind, reliability) in CONTRACT.items():
-        assert witness.endpoints(topic)[name] == (kind, reliability), topic
-    services = dict(witness.node.get_service_names_and_types())
-    assert services['/mixtac/virtual_grasp/knock'] == ['std_srvs/srv/Trigger']
-    assert services['/mixtac/virtual_grasp/put_back'] == ['std_srvs/srv/Trigger']
 
     children = psutil.Process(witness.process.pid).children(recursive=True)
     assert len(children) == 6
@@ -174,4 +136,3 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     _, summary, end = witness.words().partition('impacts held')
     assert summary
     assert '[ERROR]' not in end
-    assert witness.log.with_suffix('.png').stat().st_size > 1000

@@ -1,33 +1,147 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The view node in its own process, fed over DDS, writing what it would show to a file."""
+"""The live view: its pictures, its server, and the node in its own process, which writes a file."""
 
 from __future__ import annotations
 
+import importlib.util
+import socket
 import subprocess
 import sys
+import time
+import urllib.request
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
-pytest.importorskip('rerun_cli', reason='rerun-sdk is not installed: make view')
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
-from mixtac.view import require_rerun
+from mixtac import view_node
+from mixtac.view_node import (
+    COLOURS,
+    FULL,
+    HOST,
+    STILL,
+    EventPicture,
+    ViewError,
+    ViewerServer,
+    contact_outline,
+    free_port,
+    require_rerun,
+)
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 from mixtac_core.node.graph import live_view
 from mixtac_core.node.images import fill
+from mixtac_core.node.process import GraphError
 from mixtac_msgs.msg import SlipState
 
-pytestmark = pytest.mark.dds
 NAME = 'mixtac/view'
+needs_rerun = pytest.mark.skipif(
+    importlib.util.find_spec('rerun') is None, reason='rerun-sdk is not installed: make view'
+)
+
+
+def events(*found: tuple[int, int, bool]) -> Events:
+    x, y, polarity = zip(*found, strict=True)
+    return Events(
+        np.arange(len(x), dtype=np.int64),
+        np.array(x, np.uint16),
+        np.array(y, np.uint16),
+        np.array(polarity, np.bool_),
+    )
+
+
+def test_polarities_have_their_levels_and_cancel():
+    picture = EventPicture(3, 4)
+    picture.add(events(*[(1, 0, True)] * 5, *[(2, 1, False)] * 2, (3, 2, True), (3, 2, False)))
+    shown = picture.take()
+    assert shown.shape == (3, 4)
+    assert shown[0, 1] == STILL + FULL
+    assert shown[1, 2] == STILL - 2
+    assert shown[2, 3] == STILL
+    assert (picture.take() == STILL).all()
+
+
+def test_every_level_has_its_own_colour_and_none_is_zero():
+    assert sorted(COLOURS) == list(range(STILL - FULL, STILL + FULL + 1))
+    assert len(set(COLOURS.values())) == len(COLOURS)
+    assert 0 not in COLOURS
+
+
+def test_a_contact_is_an_ellipse_around_its_centre():
+    contact = SimpleNamespace(
+        major=2e-3, minor=1e-3, angle=np.pi / 2, column=100.0, row=80.0, scale=10_000.0
+    )
+    outline = contact_outline(contact)
+    assert np.ptp(outline, axis=0) == pytest.approx((20.0, 40.0), abs=0.5)
+    assert outline.mean(axis=0) == pytest.approx((100.0, 80.0), abs=1.0)
+
+
+def test_a_missing_viewer_is_named_with_its_remedy(monkeypatch):
+    monkeypatch.setattr(view_node.importlib.util, 'find_spec', lambda name: None)
+    with pytest.raises(ViewError) as caught:
+        require_rerun()
+    assert 'make view' in caught.value.remedy
+
+
+def test_a_port_in_use_is_named():
+    with socket.socket() as other:
+        other.bind((HOST, 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        with pytest.raises(ViewError) as caught:
+            free_port(taken, 'port')
+        assert f'port {taken}' in str(caught.value)
+
+
+def listening(process: psutil.Process) -> set[str]:
+    """Wait until the server listens on both its ports; return their addresses."""
+    while True:
+        found = [c.laddr for c in process.net_connections('inet') if c.status == 'LISTEN']
+        if len(found) >= 2:
+            return {each.ip for each in found}
+        assert process.is_running()
+        time.sleep(0.1)
+
+
+@pytest.mark.live
+@needs_rerun
+def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    before = set(psutil.Process().children())
+    with closing(ViewerServer(0, 0, 50)) as server:
+        (child,) = set(psutil.Process().children()) - before
+        assert listening(child) == {HOST}
+        page = urllib.request.urlopen(server.page_url.partition('?')[0], timeout=20).read()
+        assert b'<canvas' in page.lower()
+        assert child.environ()['TELEMETRY_ENABLED'] == 'false'
+        settings = Path(child.environ()['XDG_CONFIG_HOME']) / 'rerun' / 'analytics.json'
+        assert '"analytics_enabled":false' in settings.read_text().replace(' ', '')
+        assert not (tmp_path / '.config').exists()
+    assert not child.is_running()
+
+
+@pytest.mark.live
+@needs_rerun
+def test_a_server_that_ended_is_reported():
+    before = set(psutil.Process().children())
+    with closing(ViewerServer(0, 0, 50)) as server:
+        (child,) = set(psutil.Process().children()) - before
+        child.kill()
+        child.wait()
+        with pytest.raises(GraphError):
+            server.processes.check()
 
 
 def packet(sequence: int) -> EventPacket:
@@ -68,6 +182,8 @@ class Feeder:
         self.seen += self.force.get_subscription_count() > 0
 
 
+@pytest.mark.dds
+@needs_rerun
 def test_what_is_published_is_shown_and_nothing_is_undecodable(node_under_test, tmp_path):
     path = tmp_path / 'run.rrd'
     node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
@@ -91,12 +207,16 @@ def view(path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
 
 
+@pytest.mark.dds
+@needs_rerun
 def test_the_seconds_of_a_file_begin_with_it(node_under_test, tmp_path):
     path = tmp_path / 'new' / 'run.rrd'
     assert view(path).returncode == 0
     assert path.exists()
 
 
+@pytest.mark.dds
+@needs_rerun
 def test_a_file_that_cannot_be_written_ends_the_view_with_one_line(node_under_test, tmp_path):
     (tmp_path / 'file').touch()
     ended = view(tmp_path / 'file' / 'run.rrd')

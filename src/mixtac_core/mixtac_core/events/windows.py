@@ -221,23 +221,6 @@ class WindowSlicer:
         return [*np.unique(before).tolist(), *range(near, end)]
 
 
-def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:
-    """Count events in equal windows.
-
-    Args:
-        t: Event times [us], any order, same clock as `start` and `end`.
-        start: Start of the first window [us].
-        end: End [us], not before `start`; only whole windows up to it are counted.
-        width: Width of a window [us], positive.
-
-    Returns:
-        ``int64`` counts of the ``(end - start) // width`` windows.
-    """
-    count = (end - start) // width
-    indices = (t - start) // width
-    return np.bincount(indices[(indices >= 0) & (indices < count)], minlength=count)
-
-
 @njit(cache=True, nogil=True)
 def _ordered(t: NDArray[np.int64]) -> bool:
     for index in range(1, len(t)):  # noqa: SIM110 - numba has no all()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mixtac_core.events import codec, windows
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.windows import Packetizer, WindowSlicer, counts_per_window
+from mixtac_core.events.windows import Packetizer, WindowSlicer
 
 EPOCH_US = 1_700_000_000_000_000
 
@@ -180,11 +180,6 @@ def test_a_restarted_clock_starts_over() -> None:
     windows = slicer.push(at([200]), 1000)
     assert [(end, c.t.tolist()) for end, c in windows] == [(1000, [200])]
     assert slicer.late_events == 0
-
-
-def test_counts_are_those_of_whole_windows() -> None:
-    times = np.array([-1, 0, 9, 10, 29, 30, 39, 5]) + EPOCH_US
-    assert counts_per_window(times, EPOCH_US, EPOCH_US + 35, 10).tolist() == [3, 1, 1]
 
 
 def test_time_that_stands_still_holds_a_bounded_number_of_events(monkeypatch):
