@@ -12,7 +12,6 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mixtac.figures import make_table
 from mixtac.options import OptionalPath, Split
@@ -66,16 +65,8 @@ def export(
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
     console = Console(markup=False)
-    columns = (TextColumn('{task.description}', markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bars:
-        bar = bars.add_task(str(recording), total=1.0)
-        counts = export_recording(
-            recording,
-            to,
-            out,
-            lambda done: bars.update(bar, completed=done),
-            Selection(events, image, imu),
-        )
+    with console.status(escape(f'reading {recording}')):
+        counts = export_recording(recording, to, out, Selection(events, image, imu))
     console.print(
         f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
         f'samples, {counts.edges} edges'
@@ -141,8 +132,8 @@ def import_(
     seconds = 1e-6 * counts.length_us
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
     console.print(
-        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, times on a grid of'
-        f' {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s,'
+        f' {counts.info.width} x {counts.info.height} pixels'
     )
     if same_clock and wrenches:
         console.print(f'clock fit: {write_fit(_one_clock(), out)}')

@@ -2,29 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """AEDAT4 files of one camera, read and written with the optional package dv-processing.
 
-Packets of the streams differ in length: often half a second of inertial samples and 10 ms of
-events. They are cut into short pieces and merged by time. Times [us] are those of the file. A
-separate process reads the file, because dv-processing never returns from some damaged packets.
+Times [us] are those of the file. Another process reads the whole file first, because dv-processing
+never returns from some damaged packets.
 """
 
 from __future__ import annotations
 
-import heapq
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import replace
-from itertools import pairwise
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
-from mixtac_core.events.arrays import Events
-from mixtac_core.events.readings import STANDARD_GRAVITY, EdgeKind, Edges, Frame, InertialSamples
+from mixtac_core.events.readings import STANDARD_GRAVITY, EdgeKind
 from mixtac_core.recordings.messages import left_aligned, ten_bits
 from mixtac_core.recordings.recording import (
+    AEDAT4_FILE,
     AEDAT4_SUFFIX,
     NONE,
     DamagedRecordingError,
@@ -35,20 +31,27 @@ from mixtac_core.recordings.recording import (
     Selection,
     Wrenches,
 )
+from mixtac_core.recordings.table_recording import merged
+from mixtac_core.recordings.tables import Rows
 
-Readings = TypeVar('Readings', Events, InertialSamples, Edges)
-SLICE_US = 1000
+SLICE_US: Final = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""
-PACKAGE = 'dv-processing==2.0.4'
-PIECES = 100
-"""Pieces that are passed on at once."""
-START_S = 180.0
-"""Longest time in which a process starts and opens a file [s]."""
-PATIENCE_S = 30.0
-"""Longest time without progress, after which a file counts as damaged [s]."""
-KINDS = ('events', 'image', 'imu', 'triggers')
-"""Kinds of data that are read."""
-_EDGES = {
+PACKAGE: Final = 'dv-processing==2.0.4'
+PATIENCE_S: Final = 60.0
+"""Longest time to read a file, apart from that for its size [s]."""
+SLOWEST: Final = 2e6
+"""Least speed of reading on a busy machine [bytes/s]."""
+_CHECK: Final = """
+import sys
+from contextlib import suppress
+from dv_processing.io import MonoCameraRecording
+file = MonoCameraRecording(*filter(None, sys.argv[1:3]))
+for name in sys.argv[3:]:
+    with suppress(RuntimeError):
+        while getattr(file, name)() is not None: pass
+"""
+"""Reads all streams of a file; errors are left to the process that reads it next."""
+_EDGES: Final = {
     1: EdgeKind.EXTERNAL_RISING,
     2: EdgeKind.EXTERNAL_FALLING,
     3: EdgeKind.EXTERNAL_PULSE,
@@ -56,7 +59,7 @@ _EDGES = {
     5: EdgeKind.GENERATOR_FALLING,
 }
 """Kinds of edges by their number in `dv.TriggerType`; other triggers are left out."""
-_TRIGGERS = {kind: number for number, kind in _EDGES.items()}
+_TRIGGERS: Final = {int(kind): number for number, kind in _EDGES.items()}
 
 
 def load_dv() -> Any:  # noqa: ANN401
@@ -97,20 +100,43 @@ class Aedat4Recording:
             raise RecordingError(
                 f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
             )
-        load_dv()
-        self.counters = ReadCounters()
-        self._path, self._selection = path, selection or Selection()
-        self._child: subprocess.Popen[bytes] | None = None
-        self.info = self._open()
-        self._fresh = True
+        dv, self._path, self.counters = load_dv(), path, ReadCounters()
+        selection = selection or Selection()
+        camera = '' if selection.events == NONE else selection.events
+        _check(path, camera)
+        wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
+        try:
+            self._file = file = dv.io.MonoCameraRecording(*filter(None, (str(path), camera)))
+            self._kinds = [
+                kind
+                for kind in _STREAMS
+                if wanted.get(kind) != NONE and getattr(file, f'is{kind.title()}StreamAvailable')()
+            ]
+            size = file.getEventResolution() or file.getFrameResolution()
+            start_us, end_us = file.getTimeRange()
+        except RuntimeError as error:
+            raise _damaged(path, _cause(error)) from error
+        if not set(self._kinds) - {'trigger'} or not size:
+            raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
+        self.info = RecordingInfo(
+            path=path,
+            kind='AEDAT4 file',
+            camera=file.getCameraName(),
+            width=int(size[0]),
+            height=int(size[1]),
+            color_filter=0,
+            start_us=int(start_us),
+            length_us=int(end_us - start_us),
+            contents=tuple((_STREAMS[kind][0],) * 2 for kind in self._kinds),
+        )
+        if start_us >= end_us:
+            # A table of packets without times: the length stays unknown.
+            first = next(self.pieces(), None)
+            self.info = replace(self.info, start_us=first.start_us if first else 0, length_us=0)
 
     def close(self) -> None:
-        """End the process that reads the file."""
-        if self._child is not None:
-            self._child.kill()
-            self._child.wait()
-            self._wire.close()
-            self._child = None
+        """Close the file."""
+        del self._file
 
     def wrenches(self) -> Mapping[str, Wrenches]:
         """Return none: the format holds no forces."""
@@ -122,132 +148,48 @@ class Aedat4Recording:
         Raises:
             DamagedRecordingError: The file is damaged.
         """
-        if not self._fresh:
-            self._open()
-        self._fresh = False
+        self._file.resetSequentialRead()
+        streams = {
+            table: _rows(getattr(self._file, following), convert)
+            for table, following, convert in (_STREAMS[kind] for kind in self._kinds)
+        }
         width, height = self.info.width, self.info.height
-        while pieces := self._received():
-            for piece in pieces:
+        try:
+            for piece in merged(streams, SLICE_US):
                 piece.check()
                 inside = (piece.events.x < width) & (piece.events.y < height)
                 self.counters.events_outside += int(np.count_nonzero(~inside))
                 yield piece if inside.all() else replace(piece, events=piece.events[inside])
-
-    def _open(self) -> RecordingInfo:
-        """Start the process that reads the file, and return its description."""
-        self.close()
-        self._wire, theirs = Pipe()
-        code = f'from {__name__} import serve; serve({theirs.fileno()})'
-        self._child = subprocess.Popen(
-            [sys.executable, '-c', code],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[theirs.fileno()],
-        )
-        theirs.close()
-        self._wire.send((self._path, self._selection))
-        info: RecordingInfo = self._received(START_S)
-        return info
-
-    def _received(self, patience_s: float = PATIENCE_S) -> Any:  # noqa: ANN401
-        """Return the next message of the process.
-
-        Raises:
-            RecordingError: What the process found, or it stands still or has crashed.
-        """
-        try:
-            found = self._wire.recv() if self._wire.poll(patience_s) else None
-        except EOFError:
-            found = None
-        if found is None:
-            self.close()
-            raise _damaged(self._path, 'dv-processing stands still or has crashed')
-        if isinstance(found, RecordingError):
-            self.close()
-            raise found
-        return found
-
-
-def serve(number: int) -> None:
-    """Read a file for another process, and send its description, its pieces, and an empty list.
-
-    Args:
-        number: File descriptor of the connection, on which the path and the selection arrive.
-    """
-    wire = Connection(number)
-    path, selection = wire.recv()
-    part: list[Piece] = []
-    try:
-        file = _File(path, selection)
-        wire.send(file.info)
-        for piece in file.merged():
-            part.append(piece)
-            if len(part) == PIECES:
-                wire.send(part)
-                part = []
-        wire.send(part) if part else None
-        wire.send([])
-    except RecordingError as error:
-        wire.send(part) if part else None
-        wire.send(error)
-
-
-class _File:
-    """A file, read in this process."""
-
-    def __init__(self, path: Path, selection: Selection) -> None:
-        dv, camera = load_dv(), '' if selection.events == NONE else selection.events
-        self._path = path
-        try:
-            arguments = (str(path), camera) if camera else (str(path),)
-            self._file = dv.io.MonoCameraRecording(*arguments)
-            wanted = (selection.events, selection.image, selection.imu, '')
-            there = (
-                self._file.isEventStreamAvailable(),
-                self._file.isFrameStreamAvailable(),
-                self._file.isImuStreamAvailable(),
-                self._file.isTriggerStreamAvailable(),
-            )
-            found = zip(KINDS, wanted, there, strict=True)
-            self._kinds = [kind for kind, name, has in found if has and name != NONE]
-            sized = self._file.getEventResolution() or self._file.getFrameResolution()
-            start_us, end_us = self._file.getTimeRange()
         except RuntimeError as error:
-            raise _damaged(path, _cause(error)) from error
-        if not set(self._kinds) - {'triggers'} or not sized:
-            raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
-        if start_us >= end_us:
-            # A table of packets without times: the length stays unknown.
-            start_us = end_us = next((piece.start_us for piece in self.merged()), 0)
-        self.info = RecordingInfo(
-            path=path,
-            kind='AEDAT4 file',
-            camera=self._file.getCameraName(),
-            width=int(sized[0]),
-            height=int(sized[1]),
-            color_filter=0,
-            start_us=int(start_us),
-            length_us=int(end_us - start_us),
-            contents=tuple((kind, kind) for kind in self._kinds),
-        )
+            raise _damaged(self._path, _cause(error)) from error
 
-    def merged(self) -> Iterator[Piece]:
-        self._file.resetSequentialRead()
-        chosen = [self._stream(*_READERS[kind]) for kind in self._kinds]
-        yield from heapq.merge(*chosen, key=lambda piece: piece.start_us)
 
-    def _stream(self, name: str, pieces: Callable[[Any, bool], Iterator[Piece]]) -> Iterator[Piece]:
-        """Yield the pieces of a stream; `name` is the method that reads its next packet."""
-        following, alone = getattr(self._file, name), 'events' not in self._kinds
-        while True:
-            try:
-                packet = following()
-            except RuntimeError as error:
-                raise _damaged(self._path, _cause(error)) from error
-            if packet is None:
-                return
-            yield from pieces(packet, alone)
+def _check(path: Path, camera: str) -> None:
+    """Check that dv-processing returns from all packets of a file.
+
+    Raises:
+        DamagedRecordingError: It does not, or crashes.
+    """
+    following = [name for _, name, _ in _STREAMS.values()]
+    try:
+        status = subprocess.run(
+            [sys.executable, '-c', _CHECK, str(path), camera, *following],
+            check=False,
+            capture_output=True,
+            timeout=PATIENCE_S + path.stat().st_size / SLOWEST,
+        ).returncode
+    except subprocess.TimeoutExpired:
+        status = -1
+    if status < 0:
+        raise _damaged(path, 'dv-processing crashes or never returns')
+
+
+def _rows(following: Callable[[], Any], convert: Callable[[Any], Rows]) -> Iterator[Rows]:
+    """Yield the packets of a stream as rows; `following` reads the next one."""
+    while (packet := following()) is not None:
+        rows = convert(packet)
+        if len(next(iter(rows.values()))):
+            yield rows
 
 
 def _damaged(path: Path, cause: str) -> DamagedRecordingError:
@@ -262,128 +204,101 @@ def _cause(error: Exception) -> str:
     return (str(error).splitlines() or [''])[:2][-1].partition(' - Error info')[0]
 
 
-def _span(readings: Readings) -> tuple[int, int]:
-    return int(readings.t[0]), int(readings.t[-1])
-
-
-def _slices(readings: Readings) -> Iterator[Readings]:
-    """Yield readings in stretches of at most SLICE_US."""
-    if len(readings.t):
-        cuts: list[int] = (np.flatnonzero(np.diff(readings.t // SLICE_US)) + 1).tolist()
-        for start, stop in pairwise([0, *cuts, len(readings.t)]):
-            yield readings[start:stop]
-
-
-def _events(packet: Any, _alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+def _events(packet: Any) -> Rows:  # noqa: ANN401
     rows = packet.numpy()
     # Signed coordinates: negative ones become large, outside of any sensor.
     x, y = (rows[name].astype(np.uint16) for name in ('x', 'y'))
-    for each in _slices(Events(rows['timestamp'].astype(np.int64), x, y, rows['polarity'] != 0)):
-        yield Piece(*_span(each), True, events=each)
+    return {
+        't': rows['timestamp'].astype(np.int64),
+        'x': x,
+        'y': y,
+        'polarity': rows['polarity'] != 0,
+    }
 
 
-def _frames(frame: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+def _frame(frame: Any) -> Rows:  # noqa: ANN401
     if frame.image.ndim != 2:
         raise RecordingError('frames are in colour', remedy='leave them out with --image none')
-    start_us = int(frame.timestamp)
-    length_us = round(frame.exposure.total_seconds() * 1e6)
-    end_us = start_us + length_us
-    image, x, y = ten_bits(np.array(frame.image)), frame.positionX, frame.positionY
-    found = Frame(image, x, y, start_us, start_us, end_us, end_us, length_us, global_shutter=True)
-    yield Piece(end_us, end_us, alone, frames=(found,))
+    end_us = frame.timestamp + round(frame.exposure.total_seconds() * 1e6)
+    return {
+        'exposure_start': np.array([frame.timestamp]),
+        'exposure_end': np.array([end_us]),
+        'origin': np.array([[frame.positionX, frame.positionY]]),
+        'image': ten_bits(np.array(frame.image))[None],
+    }
 
 
-def _samples(packet: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
+def _samples(packet: Any) -> Rows:  # noqa: ANN401
     names = [f'{sensor}{axis}' for sensor in ('accelerometer', 'gyroscope') for axis in 'XYZ']
     rows = [[getattr(each, name) for name in (*names, 'temperature')] for each in packet]
     table = np.array(rows, np.float64).reshape(-1, 7)
-    samples = InertialSamples(
-        np.array([each.timestamp for each in packet], np.int64),
-        table[:, :3] * STANDARD_GRAVITY,
-        np.deg2rad(table[:, 3:6]),
-        table[:, 6],
-    )
-    for each in _slices(samples):
-        yield Piece(*_span(each), alone, imu=each)
+    return {
+        't': np.array([each.timestamp for each in packet], np.int64),
+        'acceleration': table[:, :3] * STANDARD_GRAVITY,
+        'angular_velocity': np.deg2rad(table[:, 3:6]),
+        'temperature': table[:, 6],
+    }
 
 
-def _edges(packet: Any, alone: bool) -> Iterator[Piece]:  # noqa: ANN401
-    pairs = [(each.timestamp, _EDGES.get(int(each.type))) for each in packet]
-    known = [(t, kind) for t, kind in pairs if kind is not None]
-    times, kinds = (np.array([each[n] for each in known]) for n in (0, 1))
-    for each in _slices(Edges(times.astype(np.int64), kinds.astype(np.uint8))):
-        yield Piece(*_span(each), alone, edges=each)
+def _edges(packet: Any) -> Rows:  # noqa: ANN401
+    known = [
+        (each.timestamp, _EDGES[int(each.type)]) for each in packet if int(each.type) in _EDGES
+    ]
+    t, kind = np.array(known, np.int64).reshape(-1, 2).T
+    return {'t': t, 'kind': kind}
 
 
-_READERS: dict[str, tuple[str, Callable[[Any, bool], Iterator[Piece]]]] = {
-    'events': ('getNextEventBatch', _events),
-    'image': ('getNextFrame', _frames),
-    'imu': ('getNextImuBatch', _samples),
-    'triggers': ('getNextTriggerBatch', _edges),
+_STREAMS: Final[dict[str, tuple[str, str, Callable[[Any], Rows]]]] = {
+    'event': ('events', 'getNextEventBatch', _events),
+    'frame': ('frames', 'getNextFrame', _frame),
+    'imu': ('imu', 'getNextImuBatch', _samples),
+    'trigger': ('edges', 'getNextTriggerBatch', _edges),
 }
-"""Method of dv-processing that reads the next packet of a stream, and what makes pieces of it."""
+"""Streams of a camera: the table, the method of dv-processing that reads the next packet, and what
+makes rows of it."""
 
 
-class Aedat4Writer:
-    """A new AEDAT4 file, compressed with LZ4. The format cannot hold forces.
+def write_aedat4(folder: Path, info: RecordingInfo, parts: Iterator[tuple[str, Rows]]) -> None:
+    """Write a new AEDAT4 file, compressed with LZ4. The format cannot hold forces.
 
     Args:
-        path: The new file.
+        folder: Folder for it.
         info: Description of the recording: camera and size.
+        parts: Rows of `events`, `frames`, `imu` and `edges`, as an export names them.
 
     Raises:
-        RecordingError: dv-processing is missing, or the file cannot be made.
+        RecordingError: dv-processing is missing, or cannot write the data.
     """
+    dv, path = load_dv(), folder / AEDAT4_FILE
+    config = dv.io.MonoCameraWriter.Config(info.camera or 'camera')
+    config.addEventStream((info.width, info.height))
+    config.addFrameStream((info.width, info.height))
+    config.addImuStream()
+    config.addTriggerStream()
+    try:
+        file = dv.io.MonoCameraWriter(str(path), config)
+        for name, columns in parts:
+            _write(dv, file, name, columns)
+    except (RuntimeError, IndexError) as error:
+        raise RecordingError(
+            f'cannot write {path}: {_cause(error)}', remedy='export with --to csv or npz'
+        ) from error
 
-    def __init__(self, path: Path, info: RecordingInfo) -> None:
-        self._dv = load_dv()
-        size = (info.width, info.height)
-        config = self._dv.io.MonoCameraWriter.Config(info.camera or 'camera')
-        config.addEventStream(size)
-        config.addFrameStream(size)
-        config.addImuStream()
-        config.addTriggerStream()
-        try:
-            self._file = self._dv.io.MonoCameraWriter(str(path), config)
-        except RuntimeError as error:
-            raise RecordingError(f'cannot write {path}: {_cause(error)}') from error
 
-    def events(self, events: Events) -> None:
-        """Write events, sorted by time."""
-        store = self._dv.EventStore()
-        columns = (events.t, events.x, events.y, events.polarity)
-        for event in zip(*(each.tolist() for each in columns), strict=True):
+def _write(dv: Any, file: Any, name: str, columns: Rows) -> None:  # noqa: ANN401
+    if name == 'frames':
+        start, end, (x, y), image = (column[0] for column in columns.values())
+        source = dv.FrameSource.SENSOR
+        file.writeFrame(dv.Frame(start, end - start, x, y, left_aligned(image), source))
+        return
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    if name == 'events':
+        store = dv.EventStore()
+        for event in rows:
             store.push_back(*event)
-        self._file.writeEvents(store)
-
-    def frame(self, frame: Frame) -> None:
-        """Write a frame: 10 bits left-aligned in 16, as on `image_raw`."""
-        start_us, image = frame.exposure_start_us, left_aligned(frame.image)
-        exposure_us = frame.exposure_end_us - start_us
-        source = self._dv.FrameSource.SENSOR
-        self._file.writeFrame(
-            self._dv.Frame(start_us, exposure_us, frame.x, frame.y, image, source)
-        )
-
-    def samples(self, samples: InertialSamples) -> None:
-        """Write inertial samples, in g, degrees per second and degrees Celsius."""
-        table = np.column_stack(
-            [
-                samples.temperature,
-                samples.acceleration / STANDARD_GRAVITY,
-                np.rad2deg(samples.angular_velocity),
-                np.zeros((len(samples.t), 3)),
-            ]
-        )
-        for t_us, row in zip(samples.t.tolist(), table.tolist(), strict=True):
-            self._file.writeImu(self._dv.IMU(t_us, *row))
-
-    def edges(self, edges: Edges) -> None:
-        """Write edges at the synchronisation connector."""
-        for t_us, kind in zip(edges.t.tolist(), edges.kind.tolist(), strict=True):
-            trigger = self._dv.TriggerType(_TRIGGERS[EdgeKind(kind)])
-            self._file.writeTrigger(self._dv.Trigger(t_us, trigger))
-
-    def close(self) -> None:
-        """Finish the file."""
-        del self._file
+        file.writeEvents(store)
+    for t_us, acceleration, rotation, celsius in rows if name == 'imu' else ():
+        values = (*np.divide(acceleration, STANDARD_GRAVITY), *np.rad2deg(rotation), 0.0, 0.0, 0.0)
+        file.writeImu(dv.IMU(t_us, celsius, *values))
+    for t_us, kind in rows if name == 'edges' else ():
+        file.writeTrigger(dv.Trigger(t_us, dv.TriggerType(_TRIGGERS[kind])))

@@ -48,8 +48,7 @@ from mixtac_core.recordings.recording import (
     not_a_recording,
 )
 from mixtac_core.recordings.table_recording import open_table_recording
-from mixtac_core.recordings.tables import TableOptions
-from mixtac_core.recordings.writers import HDF5_FILE
+from mixtac_core.recordings.tables import HDF5_FILE, TableOptions
 
 OTHER_CLOCK_US = 60_000_000
 """Event times that differ by more than this from the stamp of their packet are on another clock."""

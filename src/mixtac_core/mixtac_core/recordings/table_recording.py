@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of events, frames, inertial samples and forces as a recording."""
+"""Tables of events, frames, inertial samples and forces as a recording, checked and in units."""
 
 from __future__ import annotations
 
 import heapq
 import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node.topics import REFERENCE
+from mixtac_core.recordings.messages import ten_bits
 from mixtac_core.recordings.recording import (
     HDF5_SUFFIXES,
     Piece,
@@ -25,11 +27,29 @@ from mixtac_core.recordings.recording import (
     Selection,
     Wrenches,
 )
-from mixtac_core.recordings.tables import Rows, TableOptions, Tables, open_tables
-from mixtac_core.recordings.writers import AXES, TABLES, topic_file
+from mixtac_core.recordings.tables import (
+    AXES,
+    EVENT_COLUMNS,
+    TABLES,
+    TIME_UNITS,
+    TIMES,
+    Block,
+    Rows,
+    TableOptions,
+    Tables,
+    find_tables,
+    topic_file,
+)
 
-PACKET_US = 10_000
+NEEDED: Final = {
+    'events': EVENT_COLUMNS,
+    'frames': ('exposure_start', 'exposure_end', 'image'),
+    'edges': ('t', 'kind'),
+}
+"""Columns that a table must have; others need `t`."""
+PACKET_US: Final = 10_000
 """Longest stretch of a table in one piece [us]."""
+MOST_GREY: Final = 1023
 DAVIS346: Final = (346, 260)
 
 
@@ -42,6 +62,7 @@ class TableRecording:
         options: How to read them.
 
     Attributes:
+        info: Description; the length is not known.
         counters: Losses; there are none.
 
     Raises:
@@ -51,34 +72,31 @@ class TableRecording:
     def __init__(self, path: Path, tables: Tables, options: TableOptions) -> None:
         self.counters = ReadCounters()
         self._path, self._tables, self._options = path, tables, options
-        if not tables.names & {'events', 'frames'}:
+        if not tables.keys() & {'events', 'frames'}:
             raise RecordingError(
                 f'{path} holds neither events nor frames, but'
-                f' {", ".join(sorted(tables.names)) or "nothing"}',
+                f' {", ".join(sorted(tables)) or "nothing"}',
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
-        self._frame_size: tuple[int, int] | None = None
+        self.info = RecordingInfo(
+            path=path,
+            kind='tables',
+            camera='',
+            width=(options.size or DAVIS346)[0],
+            height=(options.size or DAVIS346)[1],
+            color_filter=0,
+            start_us=0,
+            length_us=0,
+            contents=tuple((name, name) for name in TABLES if name in tables),
+            size_known=options.size is not None,
+        )
+        if not options.size and (rows := next(self._rows('frames'), None)):
+            height, width = rows['image'].shape[1:]
+            self.info = replace(self.info, width=width, height=height, size_known=True)
         first = next(self.pieces(), None)
         if first is None:
             raise RecordingError(f'{path} holds nothing: no events and no frames')
-        self._start_us = first.start_us
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Description; the length is not known."""
-        width, height = self._size() or DAVIS346
-        return RecordingInfo(
-            path=self._path,
-            kind='tables',
-            camera='',
-            width=width,
-            height=height,
-            color_filter=0,
-            start_us=self._start_us,
-            length_us=0,
-            contents=tuple((name, name) for name in TABLES if name in self._tables.names),
-            size_known=self._size() is not None,
-        )
+        self.info = replace(self.info, start_us=first.start_us)
 
     def pieces(self) -> Generator[Piece, None, None]:
         """Yield the rows of all tables, merged by time.
@@ -86,43 +104,29 @@ class TableRecording:
         Raises:
             RecordingError: A table cannot be read, or events lie outside of the camera.
         """
-        unit, names = self._options.time_unit, self._tables.names
-        parts = [
-            _cut(self._tables.rows(name, unit), 't', make)
-            for name, make in (('imu', _samples), ('edges', _edges), ('events', self._events))
-            if name in names
-        ]
-        if 'frames' in names:
-            for rows in itertools.islice(self._tables.rows('frames', unit), 1):
-                self._frame_size = rows['image'].shape[:0:-1]
-            parts.append(_cut(self._tables.rows('frames', unit), 'exposure_end', _frames, one=True))
-        yield from heapq.merge(*parts, key=lambda piece: piece.until_us)
+        names = [name for name in ('imu', 'edges', 'events', 'frames') if name in self._tables]
+        yield from merged({name: self._rows(name) for name in names}, PACKET_US)
 
     def wrenches(self) -> Mapping[str, Wrenches]:
         """Return the reference force, if there is such a table."""
         name = topic_file(REFERENCE)
-        if name not in self._tables.names:
-            return {}
-        return {REFERENCE: _force_rows(self._tables, name, self._options)}
+        found = _force_rows(self._path, self._tables, name, self._options)
+        return {REFERENCE: found} if name in self._tables else {}
 
     def close(self) -> None:
-        """Close the files."""
-        self._tables.close()
+        """Close nothing: a table is open while its rows are read."""
 
-    def _size(self) -> tuple[int, int] | None:
-        """Return width and height: as given, those of the first frame, or as a table states."""
-        return self._options.size or self._frame_size or self._tables.size
-
-    def _events(self, rows: Rows) -> dict[str, Any]:
-        x, y, size = rows['x'], rows['y'], self._size() or DAVIS346
-        if min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]:
-            raise RecordingError(
-                f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
-                f' outside of {size[0]} x {size[1]} pixels',
-                remedy='give the size of the camera with --size',
-            )
-        columns = (x.astype(np.uint16), y.astype(np.uint16), rows['polarity'])
-        return {'events': Events(rows['t'], *columns)}
+    def _rows(self, name: str) -> Iterator[Rows]:
+        width, height = self.info.width, self.info.height
+        for rows in _checked_rows(self._path, self._tables, name, self._options.time_unit):
+            x, y = (rows[key] if name == 'events' else np.zeros(1) for key in 'xy')
+            if min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height:
+                raise RecordingError(
+                    f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())}'
+                    f' are outside of {width} x {height} pixels',
+                    remedy='give the size of the camera with --size',
+                )
+            yield rows
 
 
 def open_table_recording(
@@ -139,53 +143,70 @@ def open_table_recording(
         RecordingError: They cannot be read, or there is nothing to choose.
     """
     is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
-    tables = open_tables(path, group=selection.events if is_hdf5 else '')
-    if tables is None:
-        return None
-    if selection != Selection() and not is_hdf5:
+    tables = find_tables(path, group=selection.events if is_hdf5 else '')
+    if tables and selection != Selection() and not is_hdf5:
         raise RecordingError(
             f'{path} holds tables: there is nothing to choose',
             remedy='leave out --events, --image and --imu',
         )
-    try:
-        return TableRecording(path, tables, options)
-    except RecordingError:
-        tables.close()
-        raise
+    return TableRecording(path, tables, options) if tables else None
 
 
-def _cut(
-    tables: Iterator[Rows], key: str, make: Callable[[Rows], dict[str, Any]], *, one: bool = False
-) -> Iterator[Piece]:
-    """Yield pieces of at most `PACKET_US`, or of one row, that `make` fills."""
-    for rows in tables:
-        t = rows[key]
-        changes = np.arange(1, len(t)) if one else np.flatnonzero(np.diff(t // PACKET_US)) + 1
-        for start, end in itertools.pairwise([0, *changes.tolist(), len(t)]):
-            part = {name: column[start:end] for name, column in rows.items()}
-            first, last = int(part[key][0]), int(part[key][-1])
-            yield Piece(first, last, advances='polarity' in part, **make(part))
+def merged(streams: Mapping[str, Iterator[Rows]], longest_us: int) -> Iterator[Piece]:
+    """Yield the readings of a camera in pieces, merged by time.
+
+    Args:
+        streams: Columns as an export names them, some rows at a time, of `events`, `frames`, `imu`
+            and `edges`; times in microseconds.
+        longest_us: Longest piece [us].
+    """
+    parts = [
+        _cut(rows, name, longest_us, advances=name == 'events' or 'events' not in streams)
+        for name, rows in streams.items()
+    ]
+    yield from heapq.merge(*parts, key=lambda piece: piece.until_us)
+
+
+def _cut(stream: Iterator[Rows], name: str, longest_us: int, *, advances: bool) -> Iterator[Piece]:
+    for rows in stream:
+        t = rows['exposure_end' if name == 'frames' else 't']
+        steps = np.ones(len(t) - 1) if name == 'frames' else np.diff(t // longest_us)
+        for start, end in itertools.pairwise([0, *(np.flatnonzero(steps) + 1).tolist(), len(t)]):
+            readings = _READINGS[name]({key: column[start:end] for key, column in rows.items()})
+            yield Piece(int(t[start]), int(t[end - 1]), advances, **readings)
+
+
+def _events(rows: Rows) -> dict[str, Any]:
+    x, y = (rows[key].astype(np.uint16) for key in 'xy')
+    return {'events': Events(rows['t'], x, y, rows['polarity'])}
 
 
 def _samples(rows: Rows) -> dict[str, Any]:
-    count = len(rows['t'])
-    temperature = rows.get('temperature', np.full(count, np.nan))
     acceleration, rotation = (
-        _vector(rows, name, count) for name in ('acceleration', 'angular_velocity')
+        _vector(rows, name, np.nan) for name in ('acceleration', 'angular_velocity')
     )
-    samples = InertialSamples(rows['t'], acceleration, rotation, temperature.astype(np.float64))
-    return {'imu': samples}
+    temperature = rows.get('temperature', np.full(len(rows['t']), np.nan)).astype(np.float64)
+    return {'imu': InertialSamples(rows['t'], acceleration, rotation, temperature)}
 
 
 def _edges(rows: Rows) -> dict[str, Any]:
     return {'edges': Edges(rows['t'], rows['kind'].astype(np.uint8))}
 
 
-def _frames(rows: Rows) -> dict[str, Any]:
+def _frame(rows: Rows) -> dict[str, Any]:
     start, end = int(rows['exposure_start'][0]), int(rows['exposure_end'][0])
     x, y = (int(value) for value in rows['origin'][0])
     image = np.ascontiguousarray(rows['image'][0])
     return {'frames': (Frame(image, x, y, start, start, end, end, end - start, True),)}
+
+
+_READINGS: Final[dict[str, Callable[[Rows], dict[str, Any]]]] = {
+    'events': _events,
+    'frames': _frame,
+    'imu': _samples,
+    'edges': _edges,
+}
+"""What makes the readings of a piece of the rows of a table."""
 
 
 def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
@@ -201,37 +222,138 @@ def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
     path, remedy = path.expanduser(), 'give a .csv or .npz file'
     if not path.exists():
         raise RecordingError(f'no table of forces at {path}', remedy=remedy)
-    tables = open_tables(path, 'forces')
-    if tables is None or len(tables.names) != 1:
+    tables = find_tables(path, 'forces')
+    if len(tables) != 1:
         raise RecordingError(f'{path} is no table of forces', remedy=remedy)
-    rows = _force_rows(tables, next(iter(tables.names)), options)
+    rows = _force_rows(path, tables, next(iter(tables)), options)
     first = next(rows, None)
     if first is None:
         raise RecordingError(f'{path} holds no forces', remedy='give a table with rows')
     return itertools.chain([first], rows)
 
 
-def _force_rows(tables: Tables, name: str, options: TableOptions) -> Wrenches:
+def _force_rows(path: Path, tables: Tables, name: str, options: TableOptions) -> Wrenches:
     """Yield the forces of a table: stamps [ns], [n], and forces and torques [N, N m], [n, 6]."""
-    for rows in tables.rows(name, options.force_unit, 's', wanted_ns=1):
-        count = len(rows['t'])
-        values = np.hstack([_vector(rows, kind, count) for kind in ('force', 'torque')])
+    for rows in _checked_rows(path, tables, name, options.force_unit or 's', wanted_ns=1):
+        values = np.hstack([_vector(rows, kind, 0.0) for kind in ('force', 'torque')])
         known = np.isfinite(values).all(axis=1)
-        if not known.all():
+        if not known.all() or not {'force', 'force_z'} & rows.keys():
             raise RecordingError(
-                f'{tables.path}: row {int(np.argmin(known)) + 1} has no finite normal force; found'
+                f'{path}: row {int(np.argmin(known)) + 1} has no finite normal force; found'
                 f' columns {", ".join(rows)}',
                 remedy='name the normal force force_z or fz, and remove rows without a number',
             )
         yield rows['t'], values
 
 
-def _vector(rows: Rows, name: str, count: int) -> NDArray[np.float64]:
-    """Return a vector per row [n, 3]; components of a force that are missing are 0, its z NaN."""
+def _vector(rows: Rows, name: str, missing: float) -> NDArray[np.float64]:
+    """Return a vector per row [n, 3] of one column or three; `missing` for columns that lack."""
     if name in rows and rows[name].ndim == 2:
         return rows[name].astype(np.float64)
-    absent = np.zeros(count) if name in {'force', 'torque'} else np.full(count, np.nan)
+    absent = np.full(len(rows['t']), missing)
     columns = [rows.get(f'{name}_{axis}', absent) for axis in AXES]
-    if name == 'force' and 'force_z' not in rows:
-        columns[2] = np.full(count, np.nan)
     return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _checked_rows(
+    path: Path, tables: Tables, name: str, unit: str, wanted_ns: int = 1000
+) -> Iterator[Rows]:
+    """Yield the columns of a table, some rows at a time; frames are of 10 bits.
+
+    Args:
+        path: As shown in errors.
+        tables: The tables.
+        name: The table; no rows if there is none.
+        unit: Unit of its times where the file states none; empty for whole microseconds.
+        wanted_ns: Unit of the times that are returned [ns].
+
+    Raises:
+        RecordingError: It cannot be read, columns or numbers are missing, or the times have
+            another unit.
+    """
+    first = 1
+    for block in tables[name]() if name in tables else ():
+        rows = _needed_rows(path, name, block, first)
+        count, given = len(rows[next(iter(rows))]), block.unit or unit
+        first += count
+        times = rows.keys() & set(TIMES)
+        for key in (*('xy' if name == 'events' else ''), *(() if given else times)):
+            fractions = rows[key] % 1 != 0
+            if fractions.any():
+                raise RecordingError(
+                    f'{path}: {name} has {key} = {rows[key][fractions][0]}, no whole number',
+                    remedy='give the unit of the times, as --time-unit s, and events as the camera'
+                    ' sent them, without rectification',
+                )
+        for key in times:
+            rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
+        if name == 'events':
+            rows['polarity'] = _polarity(path, rows['polarity'])
+        elif name == 'frames':
+            rows['image'] = _grey(path, rows['image'])
+            rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
+        if count:
+            yield rows
+
+
+def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
+    """Return rows whose needed columns hold finite numbers; `first` is the number of the first."""
+    rows, needed = block.rows, NEEDED.get(name, ('t',))
+    if name == 'frames' and 't' in rows:
+        rows['exposure_start'] = rows['exposure_end'] = rows['t']
+    if missing := [each for each in needed if each not in rows]:
+        raise RecordingError(
+            f'{path}: {name} has no column {missing[0]}; found: {block.headings}',
+            remedy=f'name the columns {", ".join(needed)}',
+        )
+    for key in needed:
+        column, dimensions = rows[key], 3 if key == 'image' else 1
+        if column.ndim != dimensions or column.dtype.kind not in 'biuf':
+            raise RecordingError(
+                f'{path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
+                remedy=f'store numbers in {dimensions} dimensions',
+            )
+        finite = np.isfinite(column)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise RecordingError(
+                f'{path}: {name} has {key} = {column[row]} in row {first + row}',
+                remedy='write a finite number, or remove the row',
+            )
+    return rows
+
+
+def _scaled(place: str, t: NDArray[Any], unit: str, wanted_ns: int) -> NDArray[np.int64]:
+    """Return times in the wanted unit; those with fractions are rounded."""
+    unit_ns = TIME_UNITS[unit]
+    if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
+        raise RecordingError(
+            f'{place} has times of {t.min()} to {t.max()} {unit}, which no stamp of ROS holds',
+            remedy='give the unit of the times with --time-unit or --force-unit',
+        )
+    if t.dtype.kind == 'f':
+        return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
+    return t.astype(np.int64) * unit_ns // wanted_ns
+
+
+def _polarity(path: Path, column: NDArray[Any]) -> NDArray[np.bool_]:
+    values = np.unique(column).tolist()
+    if not (set(values) <= {0, 1} or set(values) <= {-1, 1}):
+        raise RecordingError(
+            f'{path}: polarity has the values {", ".join(map(str, values[:5]))}',
+            remedy='write 0 and 1, -1 and 1, or true and false',
+        )
+    return column > 0
+
+
+def _grey(path: Path, image: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return grey values of 0 .. 1023; 8 bits become the upper ones."""
+    if image.dtype == np.uint8:
+        return ten_bits(image)
+    darkest, brightest = image.min(initial=0), image.max(initial=0)
+    if image.dtype.kind not in 'iu' or darkest < 0 or brightest > MOST_GREY:
+        raise RecordingError(
+            f'{path}: frames are {image.dtype} of {darkest} to {brightest}',
+            remedy=f'store them as uint8, or as integers of 0 to {MOST_GREY}',
+        )
+    return image.astype(np.uint16)

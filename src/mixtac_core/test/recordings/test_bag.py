@@ -21,8 +21,8 @@ from mixtac_core.recordings.bag import (
     typestore,
 )
 from mixtac_core.recordings.bag_writer import BagWriter, McapBag, repair
+from mixtac_core.recordings.importing import StreamWriter
 from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError
-from mixtac_core.recordings.stream_writer import StreamWriter
 from mixtac_core.recordings.summary import summarise
 
 EVENTS = some_events(count=280, length_us=40_000)
@@ -35,7 +35,6 @@ def bag(tmp_path: Path) -> Path:
     """Return a bag of event packets and 10 wrenches, written from a thread."""
     writer = BagWriter(tmp_path / 'bag')
     stream = StreamWriter(writer, (346, 260))
-    stream.announce(FORCE)
     for index, stamp_ns in enumerate(STAMPS_NS):
         force = np.array([0, 0, 0.1 * index, 0, 0, 0])
         stream.wrench(FORCE, stamp_ns, force, 'ft', 10**9 + index)

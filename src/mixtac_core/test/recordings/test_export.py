@@ -18,10 +18,8 @@ from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_core.recordings.bag import BagFile, blank_message
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.export import WRITERS, export_recording
-from mixtac_core.recordings.importing import import_recording
+from mixtac_core.recordings.importing import StreamWriter, import_recording
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_core.recordings.stream_writer import StreamWriter
-from mixtac_core.recordings.writers import NpzWriter
 
 RNG = np.random.default_rng(5)
 EVENTS = some_events(count=3000, length_us=90_000)
@@ -139,23 +137,16 @@ def test_h5py_reads_the_layout_of_dsec(bag: Path, tmp_path: Path):
         assert index == 0 or t[index - 1] < 1000 * millisecond
 
 
-def test_rows_of_another_shape_are_refused(tmp_path: Path):
-    writer = NpzWriter(tmp_path)
-    writer.table('frames', {'image': ''}, image=np.zeros((1, 2, 3)))
-    with pytest.raises(RecordingError):
-        writer.table('frames', {'image': ''}, image=np.zeros((1, 2, 4)))
-
-
-@pytest.mark.parametrize('kind', WRITERS)
-def test_an_interrupted_export_leaves_nothing(bag: Path, tmp_path: Path, kind: str):
+@pytest.mark.parametrize('kind', ['hdf5', 'npz'])
+def test_frames_of_two_sizes_are_refused_where_one_array_holds_all(tmp_path: Path, kind: str):
     needs(kind)
-
-    def interrupt(_done: float) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        export_recording(bag, kind, tmp_path / 'out', interrupt)
-    assert not list(tmp_path.iterdir())
+    with Bag(tmp_path / 'bag') as made:
+        for number in (2, 3):
+            made.image(np.zeros((number, 4), np.uint16), START_US + 1000 * number)
+    with pytest.raises(RecordingError) as error:
+        export_recording(tmp_path / 'bag', kind, tmp_path / 'out')
+    assert '--to csv' in error.value.remedy
+    assert not (tmp_path / 'out').exists()
 
 
 def test_an_existing_folder_and_an_unknown_format_are_refused(bag: Path, tmp_path: Path):

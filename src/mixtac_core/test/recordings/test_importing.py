@@ -49,7 +49,6 @@ def table(path: Path, heading: str, *columns: np.ndarray, separator: str = ',') 
         ('"t [us, camera clock]",x,y,polarity\n', 's', 1, ','),
         ('# events of a tool\n# t x y p\n', 'ns', 1000, ' '),
         ('T,extra,X,Y,P\n', '', 1, ','),
-        ('346 260\n', 'us', 1, ' '),
     ],
 )
 def test_events_of_text_tables(tmp_path: Path, heading, unit, scale, separator):
@@ -75,7 +74,7 @@ def test_seconds_with_dust_behind_the_microsecond(tmp_path: Path):
     ('text', 'named'),
     [
         ('t,x,y\n1,2,3\n', 'found: t, x, y'),
-        ('t,x,y,p\n1,2,3,0\n1.5,2,3,0\n3,2,3,0\n', 'fractions'),
+        ('t,x,y,p\n1,2,3,0\n1.5,2,3,0\n3,2,3,0\n', '1.5'),
         ('t,x,y,p\n5,2,3,0\n4,2,3,0\n', '4 us'),
         ('t,x,y,p\n5,2,300,0\n', '300'),
         ('t,x,y,p\n4,2,3,0\n5,2,a,0\n', 'row 2'),
@@ -91,7 +90,8 @@ def test_seconds_with_dust_behind_the_microsecond(tmp_path: Path):
         ('t,t,x,y,p\n5,2,3,0,0\n', 't, t, x'),
         ('t;x;y;p\n5;2;3;0\n', 't;x;y;p'),
         ('1,2,3\n', '3 columns'),
-        ('7,2,1,5\n3,2,1,6\n', 'first column does not grow'),
+        ('7,2,1,1\n3,2,1,0\n', '3 us'),
+        ('346 260\n7 2 1 1\n', 'row 2'),
     ],
 )
 def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str, named: str):
@@ -172,23 +172,22 @@ def test_forces_of_another_time_are_not_of_the_clock_of_the_camera(tmp_path: Pat
         assert len(find_bags(tmp_path)) == 1
 
 
-def test_forces_of_a_bag_come_along_or_are_reported_as_left_out(tmp_path: Path):
+def test_forces_of_a_bag_come_along_or_are_replaced(tmp_path: Path):
     (tmp_path / 'forces.csv').write_text('t,fz\n0,1\n1,2\n')
     forces = tmp_path / 'forces.csv'
     import_recording(events_npz(tmp_path), tmp_path / 'bag', forces=forces)
     counts = import_recording(tmp_path / 'bag', tmp_path / 'again')
     assert counts.wrenches == {REFERENCE: 2}
-    assert counts.warnings() == []
+    forces.write_text('t,fz\n0,3\n')
     counts = import_recording(tmp_path / 'bag', tmp_path / 'third', forces=forces)
-    assert counts.forces_replaced
-    assert len(counts.warnings()) == 1
+    assert counts.wrenches == {REFERENCE: 1}
 
 
 def test_a_rate_that_no_camera_has_is_a_warning(tmp_path: Path):
     options = TableOptions(time_unit='s')
     path = events_npz(tmp_path, t=np.arange(len(EVENTS)))
     counts = import_recording(path, tmp_path / 'bag', options=options)
-    assert (counts.length_us, counts.grid_us) == (1_000_000 * (len(EVENTS) - 1), 1_000_000)
+    assert counts.length_us == 1_000_000 * (len(EVENTS) - 1)
     assert sum('events per second' in each for each in counts.warnings()) == 1
 
 
@@ -228,14 +227,13 @@ def test_an_array_without_a_column_of_times_is_refused(tmp_path: Path):
     assert 'four columns' in caught.value.message
 
 
-def test_a_file_that_states_its_size_is_no_warning(tmp_path: Path):
-    columns = (EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.polarity)
-    for number, heading in enumerate(('', '640 480\n')):
-        path = table(tmp_path / f'{number}.txt', heading, *columns, separator=' ')
-        counts = import_recording(path, tmp_path / f'bag{number}')
-        assert counts.info.size_known == bool(heading)
-        assert len(counts.warnings()) == 1 - number
-        assert (counts.info.width, counts.grid_us) == ((346, 640)[number], 1)
+def test_a_size_that_nothing_states_is_a_warning(tmp_path: Path):
+    for size in (None, (640, 480)):
+        options = TableOptions(size=size)
+        counts = import_recording(events_npz(tmp_path), tmp_path / f'bag{size}', options=options)
+        assert (counts.info.width, len(counts.warnings())) == (
+            (346, 1) if size is None else (640, 0)
+        )
 
 
 @pytest.mark.parametrize('offset', [np.int64(3_000_000), np.uint64(3_000_000), np.float64(3e6)])
