@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,18 +24,13 @@ from mixtac_core.recordings.recording import (
     AEDAT4_SUFFIX,
     NONE,
     DamagedRecordingError,
-    Piece,
-    ReadCounters,
     RecordingError,
     RecordingInfo,
     Selection,
-    Wrenches,
 )
-from mixtac_core.recordings.table_recording import merged
+from mixtac_core.recordings.table_recording import FileRecording
 from mixtac_core.recordings.tables import Rows
 
-SLICE_US: Final = 1000
-"""Longest piece [us]: data of other streams are delayed by at most this much."""
 PACKAGE: Final = 'dv-processing==2.0.4'
 PATIENCE_S: Final = 60.0
 """Longest time to read a file, apart from that for its size [s]."""
@@ -78,90 +73,43 @@ def load_dv() -> Any:  # noqa: ANN401
     return dv_processing
 
 
-class Aedat4Recording:
-    """An AEDAT4 file.
+def open_aedat4(path: Path, selection: Selection) -> FileRecording:
+    """Open an AEDAT4 file.
 
     Args:
         path: The file.
         selection: `NONE` leaves a kind of data out; another name for `events` is that of the
             camera to read, of several.
 
-    Attributes:
-        info: Its description.
-        counters: Losses found so far.
-
     Raises:
         RecordingError: dv-processing is missing, or there is no such camera.
         DamagedRecordingError: The file cannot be read, or holds no data of a camera.
     """
-
-    def __init__(self, path: Path, selection: Selection | None = None) -> None:
-        if path.suffix != AEDAT4_SUFFIX:
-            raise RecordingError(
-                f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
-            )
-        dv, self._path, self.counters = load_dv(), path, ReadCounters()
-        selection = selection or Selection()
-        camera = '' if selection.events == NONE else selection.events
-        _check(path, camera)
-        wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
-        try:
-            self._file = file = dv.io.MonoCameraRecording(*filter(None, (str(path), camera)))
-            self._kinds = [
-                kind
-                for kind in _STREAMS
-                if wanted.get(kind) != NONE and getattr(file, f'is{kind.title()}StreamAvailable')()
-            ]
-            size = file.getEventResolution() or file.getFrameResolution()
-            start_us, end_us = file.getTimeRange()
-        except RuntimeError as error:
-            raise _damaged(path, _cause(error)) from error
-        if not set(self._kinds) - {'trigger'} or not size:
-            raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
-        self.info = RecordingInfo(
-            path=path,
-            kind='AEDAT4 file',
-            camera=file.getCameraName(),
-            width=int(size[0]),
-            height=int(size[1]),
-            color_filter=0,
-            start_us=int(start_us),
-            length_us=int(end_us - start_us),
-            contents=tuple((_STREAMS[kind][0],) * 2 for kind in self._kinds),
+    if path.suffix != AEDAT4_SUFFIX:
+        raise RecordingError(
+            f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
         )
-        if start_us >= end_us:
-            # A table of packets without times: the length stays unknown.
-            first = next(self.pieces(), None)
-            self.info = replace(self.info, start_us=first.start_us if first else 0, length_us=0)
+    camera = '' if selection.events == NONE else selection.events
+    wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
+    streams: dict[str, Callable[[], Iterator[Rows]]] = {}
+    try:
+        file = _open(path, camera)
+        _check(path, camera)
+        for kind, (table, following, convert) in _STREAMS.items():
+            if wanted.get(kind) != NONE and getattr(file, f'is{kind.title()}StreamAvailable')():
+                streams[table] = partial(_rows, path, camera, following, convert)
+        size = file.getEventResolution() or file.getFrameResolution()
+        _, end_us = file.getTimeRange()
+    except RuntimeError as error:
+        raise _damaged(path, _cause(error)) from error
+    if not streams.keys() - {'edges'} or not size:
+        raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
+    name = file.getCameraName()
+    return FileRecording(path, 'AEDAT4 file', streams, size, camera=name, end_us=end_us)
 
-    def close(self) -> None:
-        """Close the file."""
-        del self._file
 
-    def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return none: the format holds no forces."""
-        return {}
-
-    def pieces(self) -> Generator[Piece, None, None]:
-        """Yield what was recorded, merged by time.
-
-        Raises:
-            DamagedRecordingError: The file is damaged.
-        """
-        self._file.resetSequentialRead()
-        streams = {
-            table: _rows(getattr(self._file, following), convert)
-            for table, following, convert in (_STREAMS[kind] for kind in self._kinds)
-        }
-        width, height = self.info.width, self.info.height
-        try:
-            for piece in merged(streams, SLICE_US):
-                piece.check()
-                inside = (piece.events.x < width) & (piece.events.y < height)
-                self.counters.events_outside += int(np.count_nonzero(~inside))
-                yield piece if inside.all() else replace(piece, events=piece.events[inside])
-        except RuntimeError as error:
-            raise _damaged(self._path, _cause(error)) from error
+def _open(path: Path, camera: str) -> Any:  # noqa: ANN401
+    return load_dv().io.MonoCameraRecording(*filter(None, (str(path), camera)))
 
 
 def _check(path: Path, camera: str) -> None:
@@ -184,12 +132,22 @@ def _check(path: Path, camera: str) -> None:
         raise _damaged(path, 'dv-processing crashes or never returns')
 
 
-def _rows(following: Callable[[], Any], convert: Callable[[Any], Rows]) -> Iterator[Rows]:
-    """Yield the packets of a stream as rows; `following` reads the next one."""
-    while (packet := following()) is not None:
-        rows = convert(packet)
-        if len(next(iter(rows.values()))):
-            yield rows
+def _rows(
+    path: Path, camera: str, following: str, convert: Callable[[Any], Rows]
+) -> Iterator[Rows]:
+    """Yield the packets of a stream as rows; `following` is the method that reads the next one.
+
+    Raises:
+        DamagedRecordingError: The file is damaged.
+    """
+    file = _open(path, camera)
+    try:
+        while (packet := getattr(file, following)()) is not None:
+            rows = convert(packet)
+            if len(next(iter(rows.values()))):
+                yield rows
+    except RuntimeError as error:
+        raise _damaged(path, _cause(error)) from error
 
 
 def _damaged(path: Path, cause: str) -> DamagedRecordingError:

@@ -24,8 +24,8 @@ from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
-from mixtac_core.recordings.aedat2 import Aedat2Recording
-from mixtac_core.recordings.aedat4 import Aedat4Recording
+from mixtac_core.recordings.aedat2 import open_aedat2
+from mixtac_core.recordings.aedat4 import open_aedat4
 from mixtac_core.recordings.bag import BagFile, find_bags, is_storage
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
 from mixtac_core.recordings.recording import (
@@ -352,8 +352,8 @@ def open_recording(
     suffix = path.suffix.lower()
     if known in (AEDAT2, AEDAT4) and suffix in known.suffixes:
         if known is AEDAT2:
-            return Aedat2Recording(path, selection, options.size)
-        return Aedat4Recording(path, selection)
+            return open_aedat2(path, selection, options.size)
+        return open_aedat4(path, selection)
     if find_bags(path, 0) if path.is_dir() else is_storage(path) or suffix == ROS1_SUFFIX:
         return BagRecording(path, selection)
     if known in (None, HDF5, NPZ, TEXT) and (

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of events, frames, inertial samples and forces as a recording, checked and in units."""
+"""Files whose streams are read as rows of tables, as recordings; tables are checked.
+
+Rows are columns as an export names them, of `events`, `frames`, `imu` and `edges`.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import heapq
 import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,13 +34,11 @@ from mixtac_core.recordings.recording import (
 from mixtac_core.recordings.tables import (
     AXES,
     EVENT_COLUMNS,
-    TABLES,
     TIME_UNITS,
     TIMES,
     Block,
     Rows,
     TableOptions,
-    Tables,
     find_tables,
     topic_file,
 )
@@ -47,130 +49,99 @@ NEEDED: Final = {
     'edges': ('t', 'kind'),
 }
 """Columns that a table must have; others need `t`."""
-PACKET_US: Final = 10_000
-"""Longest stretch of a table in one piece [us]."""
+SLICE_US: Final = 1000
+"""Longest piece [us]: data of other streams are delayed by at most this much."""
 MOST_GREY: Final = 1023
 DAVIS346: Final = (346, 260)
 
 
-class TableRecording:
-    """Tables of a file or a folder as a recording.
+class FileRecording:
+    """A file, or a folder of files, with streams of rows.
 
     Args:
         path: The file or the folder.
-        tables: Its tables.
-        options: How to read them.
+        kind: Its format, as shown to users.
+        streams: What reads each stream from its beginning, some rows at a time; times in
+            microseconds, frames of 10 bits.
+        size: Width and height of the camera.
+        camera: Name of the camera.
+        end_us: Time of the last reading [us], 0 if unknown.
+        size_known: False where the file does not state the size.
+        counters: Losses that the streams count.
+        forces: What reads the reference force; None if there is none.
 
     Attributes:
-        info: Description; the length is not known.
-        counters: Losses; there are none.
+        info: Its description.
+        counters: Losses found so far.
 
     Raises:
-        RecordingError: There are no tables of events or frames, or they cannot be read.
+        RecordingError: The streams cannot be read, or hold nothing.
     """
 
-    def __init__(self, path: Path, tables: Tables, options: TableOptions) -> None:
-        self.counters = ReadCounters()
-        self._path, self._tables, self._options = path, tables, options
-        if not tables.keys() & {'events', 'frames'}:
-            raise RecordingError(
-                f'{path} holds neither events nor frames, but'
-                f' {", ".join(sorted(tables)) or "nothing"}',
-                remedy='name the tables events and frames; in HDF5, choose a group with --events',
-            )
+    def __init__(
+        self,
+        path: Path,
+        kind: str,
+        streams: Mapping[str, Callable[[], Iterator[Rows]]],
+        size: tuple[int, int],
+        *,
+        camera: str = '',
+        end_us: int = 0,
+        size_known: bool = True,
+        counters: ReadCounters | None = None,
+        forces: Callable[[], Wrenches] | None = None,
+    ) -> None:
+        self.counters = counters or ReadCounters()
+        self._streams, self._forces = streams, forces
+        starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
+        if not starts:
+            raise RecordingError(f'{path} holds nothing: no events and no frames')
         self.info = RecordingInfo(
             path=path,
-            kind='tables',
-            camera='',
-            width=(options.size or DAVIS346)[0],
-            height=(options.size or DAVIS346)[1],
+            kind=kind,
+            camera=camera,
+            width=size[0],
+            height=size[1],
             color_filter=0,
-            start_us=0,
-            length_us=0,
-            contents=tuple((name, name) for name in TABLES if name in tables),
-            size_known=options.size is not None,
+            start_us=min(starts),
+            length_us=max(end_us - min(starts), 0),
+            contents=tuple((name, name) for name in streams),
+            size_known=size_known,
         )
-        if not options.size and (rows := next(self._rows('frames'), None)):
-            height, width = rows['image'].shape[1:]
-            self.info = replace(self.info, width=width, height=height, size_known=True)
-        first = next(self.pieces(), None)
-        if first is None:
-            raise RecordingError(f'{path} holds nothing: no events and no frames')
-        self.info = replace(self.info, start_us=first.start_us)
 
     def pieces(self) -> Generator[Piece, None, None]:
-        """Yield the rows of all tables, merged by time.
+        """Yield what was recorded, merged by time, without events outside of the camera.
 
         Raises:
-            RecordingError: A table cannot be read, or events lie outside of the camera.
+            RecordingError: The file is damaged.
         """
-        names = [name for name in ('imu', 'edges', 'events', 'frames') if name in self._tables]
-        yield from merged({name: self._rows(name) for name in names}, PACKET_US)
+        for piece in heapq.merge(*self._parts(), key=lambda piece: piece.until_us):
+            piece.check()
+            events, width, height = piece.events, self.info.width, self.info.height
+            inside = (events.x < width) & (events.y < height)
+            self.counters.events_outside += int(np.count_nonzero(~inside))
+            yield piece if inside.all() else replace(piece, events=events[inside])
 
     def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return the reference force, if there is such a table."""
-        name = topic_file(REFERENCE)
-        found = _force_rows(self._path, self._tables, name, self._options)
-        return {REFERENCE: found} if name in self._tables else {}
+        """Return the reference force, if it is recorded."""
+        return {REFERENCE: self._forces()} if self._forces else {}
 
     def close(self) -> None:
-        """Close nothing: a table is open while its rows are read."""
+        """Close nothing: a file is open while its rows are read."""
 
-    def _rows(self, name: str) -> Iterator[Rows]:
-        width, height = self.info.width, self.info.height
-        for rows in _checked_rows(self._path, self._tables, name, self._options.time_unit):
-            x, y = (rows[key] if name == 'events' else np.zeros(1) for key in 'xy')
-            if min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height:
-                raise RecordingError(
-                    f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())}'
-                    f' are outside of {width} x {height} pixels',
-                    remedy='give the size of the camera with --size',
-                )
-            yield rows
+    def _parts(self) -> list[Iterator[Piece]]:
+        # Frames set the pace if there are no events.
+        return [
+            _cut(read(), name, advances=name == 'events' or 'events' not in self._streams)
+            for name, read in self._streams.items()
+        ]
 
 
-def open_table_recording(
-    path: Path, selection: Selection, options: TableOptions
-) -> TableRecording | None:
-    """Open tables as a recording; None where a path holds none.
-
-    Args:
-        path: The file or the folder.
-        selection: The group of the events in an HDF5 file.
-        options: How to read them.
-
-    Raises:
-        RecordingError: They cannot be read, or there is nothing to choose.
-    """
-    is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
-    tables = find_tables(path, group=selection.events if is_hdf5 else '')
-    if tables and selection != Selection() and not is_hdf5:
-        raise RecordingError(
-            f'{path} holds tables: there is nothing to choose',
-            remedy='leave out --events, --image and --imu',
-        )
-    return TableRecording(path, tables, options) if tables else None
-
-
-def merged(streams: Mapping[str, Iterator[Rows]], longest_us: int) -> Iterator[Piece]:
-    """Yield the readings of a camera in pieces, merged by time.
-
-    Args:
-        streams: Columns as an export names them, some rows at a time, of `events`, `frames`, `imu`
-            and `edges`; times in microseconds.
-        longest_us: Longest piece [us].
-    """
-    parts = [
-        _cut(rows, name, longest_us, advances=name == 'events' or 'events' not in streams)
-        for name, rows in streams.items()
-    ]
-    yield from heapq.merge(*parts, key=lambda piece: piece.until_us)
-
-
-def _cut(stream: Iterator[Rows], name: str, longest_us: int, *, advances: bool) -> Iterator[Piece]:
+def _cut(stream: Iterator[Rows], name: str, *, advances: bool) -> Iterator[Piece]:
+    """Yield the readings of a stream in pieces of at most `SLICE_US`, or of one frame."""
     for rows in stream:
         t = rows['exposure_end' if name == 'frames' else 't']
-        steps = np.ones(len(t) - 1) if name == 'frames' else np.diff(t // longest_us)
+        steps = np.ones(len(t) - 1) if name == 'frames' else np.diff(t // SLICE_US)
         for start, end in itertools.pairwise([0, *(np.flatnonzero(steps) + 1).tolist(), len(t)]):
             readings = _READINGS[name]({key: column[start:end] for key, column in rows.items()})
             yield Piece(int(t[start]), int(t[end - 1]), advances, **readings)
@@ -209,6 +180,64 @@ _READINGS: Final[dict[str, Callable[[Rows], dict[str, Any]]]] = {
 """What makes the readings of a piece of the rows of a table."""
 
 
+def open_table_recording(
+    path: Path, selection: Selection, options: TableOptions
+) -> FileRecording | None:
+    """Open tables as a recording; None where a path holds none.
+
+    Args:
+        path: The file or the folder.
+        selection: The group of the events in an HDF5 file.
+        options: How to read them.
+
+    Raises:
+        RecordingError: They cannot be read, are of other data, or there is nothing to choose.
+    """
+    is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
+    tables = find_tables(path, group=selection.events if is_hdf5 else '')
+    if not tables:
+        return None
+    if selection != Selection() and not is_hdf5:
+        raise RecordingError(
+            f'{path} holds tables: there is nothing to choose',
+            remedy='leave out --events, --image and --imu',
+        )
+    if not tables.keys() & {'events', 'frames'}:
+        raise RecordingError(
+            f'{path} holds neither events nor frames, but {", ".join(sorted(tables))}',
+            remedy='name the tables events and frames; in HDF5, choose a group with --events',
+        )
+    streams: dict[str, Callable[[], Iterator[Rows]]] = {
+        name: partial(_checked_rows, path, name, tables[name], options.time_unit)
+        for name in ('imu', 'edges', 'events', 'frames')
+        if name in tables
+    }
+    size = options.size
+    for rows in (
+        itertools.islice(streams['frames'](), 0 if size else 1) if 'frames' in tables else ()
+    ):
+        size = rows['image'].shape[2], rows['image'].shape[1]
+    if 'events' in tables:
+        events = streams['events']
+        streams['events'] = lambda: _inside(events(), *(size or DAVIS346))
+    name, unit = topic_file(REFERENCE), options.force_unit
+    forces = partial(_force_rows, path, name, tables[name], unit) if name in tables else None
+    known = size is not None
+    return FileRecording(path, 'tables', streams, size or DAVIS346, size_known=known, forces=forces)
+
+
+def _inside(stream: Iterator[Rows], width: int, height: int) -> Iterator[Rows]:
+    for rows in stream:
+        x, y = rows['x'], rows['y']
+        if min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height:
+            raise RecordingError(
+                f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
+                f' outside of {width} x {height} pixels',
+                remedy='give the size of the camera with --size',
+            )
+        yield rows
+
+
 def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
     """Return the forces of a file that holds nothing else.
 
@@ -219,22 +248,20 @@ def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
     Raises:
         RecordingError: It cannot be read, or holds no forces.
     """
-    path, remedy = path.expanduser(), 'give a .csv or .npz file'
-    if not path.exists():
-        raise RecordingError(f'no table of forces at {path}', remedy=remedy)
+    path = path.expanduser()
     tables = find_tables(path, 'forces')
     if len(tables) != 1:
-        raise RecordingError(f'{path} is no table of forces', remedy=remedy)
-    rows = _force_rows(path, tables, next(iter(tables)), options)
+        raise RecordingError(f'no table of forces at {path}', remedy='give a .csv or .npz file')
+    rows = _force_rows(path, 'forces', next(iter(tables.values())), options.force_unit)
     first = next(rows, None)
     if first is None:
         raise RecordingError(f'{path} holds no forces', remedy='give a table with rows')
     return itertools.chain([first], rows)
 
 
-def _force_rows(path: Path, tables: Tables, name: str, options: TableOptions) -> Wrenches:
+def _force_rows(path: Path, name: str, read: Callable[[], Iterator[Block]], unit: str) -> Wrenches:
     """Yield the forces of a table: stamps [ns], [n], and forces and torques [N, N m], [n, 6]."""
-    for rows in _checked_rows(path, tables, name, options.force_unit or 's', wanted_ns=1):
+    for rows in _checked_rows(path, name, read, unit or 's', wanted_ns=1):
         values = np.hstack([_vector(rows, kind, 0.0) for kind in ('force', 'torque')])
         known = np.isfinite(values).all(axis=1)
         if not known.all() or not {'force', 'force_z'} & rows.keys():
@@ -256,14 +283,14 @@ def _vector(rows: Rows, name: str, missing: float) -> NDArray[np.float64]:
 
 
 def _checked_rows(
-    path: Path, tables: Tables, name: str, unit: str, wanted_ns: int = 1000
+    path: Path, name: str, read: Callable[[], Iterator[Block]], unit: str, wanted_ns: int = 1000
 ) -> Iterator[Rows]:
     """Yield the columns of a table, some rows at a time; frames are of 10 bits.
 
     Args:
         path: As shown in errors.
-        tables: The tables.
-        name: The table; no rows if there is none.
+        name: The table.
+        read: What reads it.
         unit: Unit of its times where the file states none; empty for whole microseconds.
         wanted_ns: Unit of the times that are returned [ns].
 
@@ -272,7 +299,7 @@ def _checked_rows(
             another unit.
     """
     first = 1
-    for block in tables[name]() if name in tables else ():
+    for block in read():
         rows = _needed_rows(path, name, block, first)
         count, given = len(rows[next(iter(rows))]), block.unit or unit
         first += count
@@ -280,10 +307,12 @@ def _checked_rows(
         for key in (*('xy' if name == 'events' else ''), *(() if given else times)):
             fractions = rows[key] % 1 != 0
             if fractions.any():
+                wanted = (
+                    'pixels, without rectification' if key in 'xy' else 'their unit: --time-unit s'
+                )
                 raise RecordingError(
                     f'{path}: {name} has {key} = {rows[key][fractions][0]}, no whole number',
-                    remedy='give the unit of the times, as --time-unit s, and events as the camera'
-                    ' sent them, without rectification',
+                    remedy=f'give {wanted}',
                 )
         for key in times:
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
