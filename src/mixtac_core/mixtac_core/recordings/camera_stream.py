@@ -24,8 +24,7 @@ from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_core.recordings import messages as convert
-from mixtac_core.recordings.aedat2 import open_aedat2
-from mixtac_core.recordings.aedat4 import open_aedat4
+from mixtac_core.recordings.aedat import open_aedat2, open_aedat4
 from mixtac_core.recordings.bag import BagFile, find_bags, is_storage
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
 from mixtac_core.recordings.recording import (

@@ -22,7 +22,7 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import InertialSamples
 from mixtac_core.node.files import new_folder
 from mixtac_core.node.topics import REFERENCE
-from mixtac_core.recordings.aedat4 import write_aedat4
+from mixtac_core.recordings.aedat import write_aedat4
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_core.recordings.recording import (

@@ -172,6 +172,8 @@ def import_recording(
     with contextlib.closing(open_recording(path, selection, options)) as recording:
         recorded = recording.wrenches().get(REFERENCE, ())
         parts = list(table_wrenches(forces, options) if forces else recorded)
+        if forces and not parts:
+            raise RecordingError(f'{forces} holds no forces', remedy='give a table with rows')
         stamps_ns = np.concatenate([np.zeros(0, np.int64), *(stamps for stamps, _ in parts)])
         values = np.concatenate([np.zeros((0, 6)), *(rows for _, rows in parts)])
         info = recording.info

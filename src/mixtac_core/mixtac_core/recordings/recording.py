@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of recordings: pieces of a camera's stream in recorded order.
 
-Readers of a format are in `camera_stream` (bags) and `aedat4` beside this module. The table
-`FORMATS` lists the known file formats.
+Readers of a format are in `camera_stream` (bags), `aedat` and `table_recording` beside this module.
+The table `FORMATS` lists the known file formats.
 """
 
 from __future__ import annotations

@@ -143,41 +143,27 @@ def _cut(stream: Iterator[Rows], name: str, *, advances: bool) -> Iterator[Piece
         t = rows['exposure_end' if name == 'frames' else 't']
         steps = np.ones(len(t) - 1) if name == 'frames' else np.diff(t // SLICE_US)
         for start, end in itertools.pairwise([0, *(np.flatnonzero(steps) + 1).tolist(), len(t)]):
-            readings = _READINGS[name]({key: column[start:end] for key, column in rows.items()})
-            yield Piece(int(t[start]), int(t[end - 1]), advances, **readings)
+            part = {key: column[start:end] for key, column in rows.items()}
+            yield Piece(int(t[start]), int(t[end - 1]), advances, **_readings(name, part))
 
 
-def _events(rows: Rows) -> dict[str, Any]:
-    x, y = (rows[key].astype(np.uint16) for key in 'xy')
-    return {'events': Events(rows['t'], x, y, rows['polarity'])}
-
-
-def _samples(rows: Rows) -> dict[str, Any]:
-    acceleration, rotation = (
-        _vector(rows, name, np.nan) for name in ('acceleration', 'angular_velocity')
-    )
-    temperature = rows.get('temperature', np.full(len(rows['t']), np.nan)).astype(np.float64)
-    return {'imu': InertialSamples(rows['t'], acceleration, rotation, temperature)}
-
-
-def _edges(rows: Rows) -> dict[str, Any]:
-    return {'edges': Edges(rows['t'], rows['kind'].astype(np.uint8))}
-
-
-def _frame(rows: Rows) -> dict[str, Any]:
+def _readings(name: str, rows: Rows) -> dict[str, Any]:
+    """Return the readings of rows, by the attribute of a piece; frames are one row."""
+    if name == 'events':
+        x, y = (rows[key].astype(np.uint16) for key in 'xy')
+        return {'events': Events(rows['t'], x, y, rows['polarity'])}
+    if name == 'edges':
+        return {'edges': Edges(rows['t'], rows['kind'].astype(np.uint8))}
+    if name == 'imu':
+        acceleration, rotation = (
+            _vector(rows, key, np.nan) for key in ('acceleration', 'angular_velocity')
+        )
+        temperature = rows.get('temperature', np.full(len(rows['t']), np.nan)).astype(np.float64)
+        return {'imu': InertialSamples(rows['t'], acceleration, rotation, temperature)}
     start, end = int(rows['exposure_start'][0]), int(rows['exposure_end'][0])
-    x, y = (int(value) for value in rows['origin'][0])
+    column, row = (int(value) for value in rows['origin'][0])
     image = np.ascontiguousarray(rows['image'][0])
-    return {'frames': (Frame(image, x, y, start, start, end, end, end - start, True),)}
-
-
-_READINGS: Final[dict[str, Callable[[Rows], dict[str, Any]]]] = {
-    'events': _events,
-    'frames': _frame,
-    'imu': _samples,
-    'edges': _edges,
-}
-"""What makes the readings of a piece of the rows of a table."""
+    return {'frames': (Frame(image, column, row, start, start, end, end, end - start, True),)}
 
 
 def open_table_recording(
@@ -246,17 +232,13 @@ def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
         options: How to read it.
 
     Raises:
-        RecordingError: It cannot be read, or holds no forces.
+        RecordingError: It is no table.
     """
     path = path.expanduser()
     tables = find_tables(path, 'forces')
     if len(tables) != 1:
         raise RecordingError(f'no table of forces at {path}', remedy='give a .csv or .npz file')
-    rows = _force_rows(path, 'forces', next(iter(tables.values())), options.force_unit)
-    first = next(rows, None)
-    if first is None:
-        raise RecordingError(f'{path} holds no forces', remedy='give a table with rows')
-    return itertools.chain([first], rows)
+    return _force_rows(path, 'forces', next(iter(tables.values())), options.force_unit)
 
 
 def _force_rows(path: Path, name: str, read: Callable[[], Iterator[Block]], unit: str) -> Wrenches:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import importlib
 import itertools
 import re
 import zipfile
@@ -138,19 +139,25 @@ def topic_file(topic: str) -> str:
     return topic.strip('/').replace('/', '_')
 
 
+def optional_module(name: str, remedy: str) -> Any:  # noqa: ANN401
+    """Return a module of a package that only some formats need.
+
+    Raises:
+        RecordingError: It is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise RecordingError(f'{name} is not installed ({error})', remedy=remedy) from error
+
+
 def open_hdf5(path: Path, mode: str) -> Any:  # noqa: ANN401
     """Return an HDF5 file, an `h5py.File`, opened to read (`r`) or newly made (`x`).
 
     Raises:
         RecordingError: h5py is not installed, or the file cannot be opened.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise RecordingError(
-            f'HDF5 files need h5py, which is not installed ({error})',
-            remedy='python3 tools/setup.py --with hdf5, or pip install h5py',
-        ) from error
+    h5py = optional_module('h5py', 'python3 tools/setup.py --with hdf5, or pip install h5py')
     with contextlib.suppress(ImportError):
         # Registers the compression of DSEC where it is installed.
         import hdf5plugin  # noqa: F401
@@ -174,14 +181,13 @@ def find_tables(path: Path, name: str = 'events', group: str = '') -> Tables:
     if path.is_file() and path.suffix.lower() in HDF5_SUFFIXES:
         groups = _groups(path, group).items()
         return {each: partial(_read_hdf5, path, each, place) for each, place in groups}
-    for suffixes, read in ((TEXT_SUFFIXES, _read_csv), ((NPZ_SUFFIX,), _read_npz)):
-        if path.is_dir():
-            files = {each.stem: each for each in path.glob(f'*{suffixes[0]}')}
-        else:
-            files = {name: path} if path.is_file() and path.suffix.lower() in suffixes else {}
-        if files:
-            return {key: partial(read, each) for key, each in files.items()}
-    return {}
+    # Of two tables of one name, the csv counts: it comes last.
+    paths = sorted(path.iterdir(), reverse=True) if path.is_dir() else [path]
+    readable = [each for each in paths if each.is_file() and each.suffix.lower() in _READERS]
+    return {
+        each.stem if path.is_dir() else name: partial(_READERS[each.suffix.lower()], each)
+        for each in readable
+    }
 
 
 def _meaning(name: str) -> str:
@@ -283,11 +289,8 @@ def _numbers(text: NDArray[np.str_]) -> NDArray[Any]:
 
 def _picture(path: Path, name: str) -> NDArray[np.uint16]:
     """Return the pixels of a picture that a table names, 8 bits or 16 left-aligned, as 10 bits."""
-    image: Any = None
-    # Pictures that claim more than 2^30 pixels.
-    with contextlib.suppress(cv2.error):
-        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-        image = cv2.imread(str(path.parent / name), flags)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image: Any = cv2.imread(str(path.parent / name), flags)
     if image is None:
         raise RecordingError(
             f'{path.parent / name} of {path} cannot be read', remedy='check the paths'
@@ -308,9 +311,22 @@ def _read_npz(path: Path) -> Iterator[Block]:
     yield from _blocks(path, whole[0] if len(whole) == 1 else arrays, units)
 
 
+_READERS: Final[dict[str, Callable[[Path], Iterator[Block]]]] = {
+    **dict.fromkeys(TEXT_SUFFIXES, _read_csv),
+    NPZ_SUFFIX: _read_npz,
+}
+
+
 def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
     """Return whether an array holds a whole table: fields, or four columns."""
     return bool(array.dtype.names) or (array.ndim == 2 and array.shape[1] == 4)
+
+
+def _holds_events(place: Any) -> bool:  # noqa: ANN401  (a group or a data set)
+    """Return whether a place in an HDF5 file holds all columns of events."""
+    if hasattr(place, 'dtype'):
+        return _is_table(place)
+    return {_meaning(key) for key in place}.issuperset(EVENT_COLUMNS)
 
 
 def _blocks(path: Path, source: Any, units: str = '') -> Iterator[Block]:  # noqa: ANN401
@@ -357,13 +373,7 @@ def _groups(path: Path, group: str) -> dict[str, str]:
         if not group and 'events' in groups:
             return groups
         found: list[str] = []
-
-        def visit(name: str, each: Any) -> None:  # noqa: ANN401
-            keys = {_meaning(key) for key in getattr(each, 'keys', list)()}
-            if keys.issuperset(EVENT_COLUMNS) or (hasattr(each, 'dtype') and _is_table(each)):
-                found.append(name)
-
-        file.visititems(visit)
+        file.visititems(lambda name, each: found.append(name) if _holds_events(each) else None)
         if group not in file if group else len(found) != 1:
             raise RecordingError(
                 f'{path} has no group {group or "events"}; events are in'
@@ -376,19 +386,15 @@ def _groups(path: Path, group: str) -> dict[str, str]:
 def _read_hdf5(path: Path, name: str, place: str) -> Iterator[Block]:
     """Yield the rows of a table; times of events count from `t_offset`."""
     with open_hdf5(path, 'r') as file:
-        table, offset = file[place], np.asarray(file['t_offset'][()] if 't_offset' in file else 0)
+        table, offset = file[place], file['t_offset'][()].item() if 't_offset' in file else 0
         try:
             for block in _blocks(path, table, str(table.attrs.get('units', ''))):
                 if name == 'events' and 't' in block.rows:
-                    block.rows['t'] = _signed(block.rows['t']) + _signed(offset)
+                    kind = np.float64 if block.rows['t'].dtype.kind == 'f' else np.int64
+                    block.rows['t'] = block.rows['t'].astype(kind) + offset
                 yield block
         except OSError as error:
             raise RecordingError(
                 f'{path}, {place}: {reason(error)}',
                 remedy='pip install hdf5plugin, which reads compressed data of DSEC',
             ) from error
-
-
-def _signed(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Return integers as `int64`, which a sum with others keeps; fractions as they are."""
-    return numbers if numbers.dtype.kind == 'f' else numbers.astype(np.int64)

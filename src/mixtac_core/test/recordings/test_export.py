@@ -92,18 +92,14 @@ def check(path: Path) -> None:
 
 
 @pytest.mark.parametrize('kind', WRITERS)
-@pytest.mark.parametrize('again', WRITERS)
-def test_every_column_survives_every_pair_of_formats(bag: Path, tmp_path: Path, kind, again):
+def test_every_column_survives_every_format(bag: Path, tmp_path: Path, kind: str):
     needs(kind)
-    needs(again)
     counts = export_recording(bag, kind, tmp_path / kind)
     assert (counts.events, counts.frames, counts.samples, counts.edges) == (3000, 3, 40, 3)
-    import_recording(tmp_path / kind, tmp_path / 'first')
-    export_recording(tmp_path / 'first', again, tmp_path / f'{again}_again')
-    import_recording(tmp_path / f'{again}_again', tmp_path / 'bag')
+    import_recording(tmp_path / kind, tmp_path / 'bag')
     check(tmp_path / 'bag')
     with BagFile(tmp_path / 'bag') as found:
-        if 'aedat4' in {kind, again}:
+        if kind == 'aedat4':
             assert not found.counts.get(REFERENCE)
         else:
             stamps, forces = found.wrenches(REFERENCE)

@@ -1,13 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""AEDAT4 files of one camera, read and written with the optional package dv-processing.
+"""AEDAT 2.0 files, read, and AEDAT4 files, read and written.
 
-Times [us] are those of the file. Another process reads the whole file first, because dv-processing
-never returns from some damaged packets.
+AEDAT 2.0 files of a DAVIS240 or DAVIS346, as jAER records them, are read for their events. A word
+of 8 bytes holds an address and a time [us], both big-endian. The address of an event has row (9
+bits from bit 22), column (10 bits from bit 12, counted from the right) and polarity (bit 11). Bit
+31 marks pixels of frames and inertial samples, bit 10 edges of the external input: these are
+skipped and counted. Rows are numbered as jAER numbers them.
+
+AEDAT4 files of one camera are read and written with the optional package dv-processing. Times [us]
+are those of the file. Another process reads the whole file first, because dv-processing never
+returns from some damaged packets.
 """
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -24,14 +32,21 @@ from mixtac_core.recordings.recording import (
     AEDAT4_SUFFIX,
     NONE,
     DamagedRecordingError,
+    ReadCounters,
     RecordingError,
     RecordingInfo,
     Selection,
 )
 from mixtac_core.recordings.table_recording import FileRecording
-from mixtac_core.recordings.tables import Rows
+from mixtac_core.recordings.tables import Rows, optional_module
 
-PACKAGE: Final = 'dv-processing==2.0.4'
+SIZES: Final = {'davis346': (346, 260), 'davis240': (240, 180), 'sbret': (240, 180)}
+"""Width and height of the sensor by a part of the chip's name in lower case."""
+NO_EVENT: Final = 1 << 31 | 1 << 10
+"""Bits that no event has."""
+WORDS: Final = 10_000
+"""Words that are read at once."""
+_HEADER_LINE: Final = re.compile(rb'#[^\x00-\x08\x0a-\x0c\x0e-\x1f]*\n')
 PATIENCE_S: Final = 60.0
 """Longest time to read a file, apart from that for its size [s]."""
 SLOWEST: Final = 2e6
@@ -57,20 +72,66 @@ _EDGES: Final = {
 _TRIGGERS: Final = {int(kind): number for number, kind in _EDGES.items()}
 
 
-def load_dv() -> Any:  # noqa: ANN401
-    """Return the module dv_processing.
+def open_aedat2(
+    path: Path, selection: Selection, size: tuple[int, int] | None = None
+) -> FileRecording:
+    """Open an AEDAT 2.0 file.
+
+    Args:
+        path: The file.
+        selection: `NONE` for events is refused: there is nothing else to read.
+        size: Width and height of the sensor; None for those of the chip that the header names.
 
     Raises:
-        RecordingError: It is not installed.
+        RecordingError: It holds no events, or the size is not known.
     """
-    try:
-        import dv_processing
-    except ImportError as error:
+    with path.open('rb') as file:
+        start, chip = 0, ''
+        while line := _HEADER_LINE.fullmatch(file.readline(1000)):
+            start = file.tell()
+            if b'AEChip:' in line[0]:
+                chip = line[0].partition(b':')[2].decode(errors='replace').strip()
+    size = size or next((found for name, found in SIZES.items() if name in chip.lower()), None)
+    if size is None:
         raise RecordingError(
-            f'AEDAT4 files need dv-processing, which is not installed ({error})',
-            remedy=f'pip install {PACKAGE}, or python3 tools/setup.py --with aedat4',
-        ) from error
-    return dv_processing
+            f'{path} is of the chip {chip or "(not named)"}: only events of DAVIS240 and'
+            ' DAVIS346 are read',
+            remedy='give --size 346x260 or 240x180 if it is such a camera, or open it in jAER'
+            ' and export events as csv with columns t, x, y, p',
+        )
+    counters = ReadCounters()
+    streams = {'events': partial(_events_of_words, path, start, size[0], counters)}
+    if selection.events == NONE:
+        streams = {}
+    return FileRecording(path, 'AEDAT 2 file', streams, size, counters=counters)
+
+
+def _events_of_words(path: Path, start: int, width: int, counters: ReadCounters) -> Iterator[Rows]:
+    """Yield the events; times [us] continue where 32 bits roll over."""
+    others, latest_us = 0, None
+    with path.open('rb') as file:
+        file.seek(start)
+        while len(data := file.read(8 * WORDS)) >= 8:
+            words = np.frombuffer(data, '>u4', len(data) // 8 * 2).reshape(-1, 2).astype(np.int64)
+            address, t = words[words[:, 0] & NO_EVENT == 0].T
+            others += len(words) - len(t)
+            if not len(t):
+                continue
+            latest_us = int(t[0]) if latest_us is None else latest_us
+            # Steps of 32 bits are shorter than 2^31 us.
+            steps = np.diff(t, prepend=latest_us) + (1 << 31) & 0xFFFFFFFF
+            t = latest_us + np.cumsum(steps - (1 << 31))
+            latest_us = int(t[-1])
+            # Columns left of the first become large, outside of any sensor.
+            x = (width - 1 - (address >> 12 & 0x3FF)).astype(np.uint16)
+            y, polarity = address >> 22 & 0x1FF, address >> 11 & 1 == 1
+            yield {'t': t, 'x': x, 'y': y, 'polarity': polarity}
+    counters.other_words += others
+
+
+def _dv() -> Any:  # noqa: ANN401
+    remedy = 'pip install dv-processing==2.0.4, or python3 tools/setup.py --with aedat4'
+    return optional_module('dv_processing', remedy)
 
 
 def open_aedat4(path: Path, selection: Selection) -> FileRecording:
@@ -109,7 +170,7 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
 
 
 def _open(path: Path, camera: str) -> Any:  # noqa: ANN401
-    return load_dv().io.MonoCameraRecording(*filter(None, (str(path), camera)))
+    return _dv().io.MonoCameraRecording(*filter(None, (str(path), camera)))
 
 
 def _check(path: Path, camera: str) -> None:
@@ -227,7 +288,7 @@ def write_aedat4(folder: Path, info: RecordingInfo, parts: Iterator[tuple[str, R
     Raises:
         RecordingError: dv-processing is missing, or cannot write the data.
     """
-    dv, path = load_dv(), folder / AEDAT4_FILE
+    dv, path = _dv(), folder / AEDAT4_FILE
     config = dv.io.MonoCameraWriter.Config(info.camera or 'camera')
     config.addEventStream((info.width, info.height))
     config.addFrameStream((info.width, info.height))
