@@ -237,7 +237,8 @@ def _read_csv(path: Path) -> Iterator[Block]:
                 f'{path} has {len(cells)} columns and no headings: {first.strip()!r}',
                 remedy='add a line of headings: t, x, y, p; or t, fz',
             )
-        start, size = 1, FRAME_ROWS if 'file' in names else ROWS
+        # Pictures may differ in size.
+        start, size = 1, 1 if 'file' in names else ROWS
         while part := list(itertools.islice(lines, size)):
             split = csv.reader(part, skipinitialspace=True) if separator else map(str.split, part)
             table = _table(path, list(split), names, start)
@@ -248,8 +249,7 @@ def _read_csv(path: Path) -> Iterator[Block]:
                 if re.sub('_[xyz]$', '', name) in UNITS
             }
             if 'file' in names:
-                pictures = table[:, names.index('file')].tolist()
-                rows['image'] = np.stack([_picture(path, each) for each in pictures])
+                rows['image'] = _picture(path, str(table[0, names.index('file')]))[None]
                 if {'x', 'y'} <= rows.keys():
                     rows['origin'] = np.stack([rows.pop('x'), rows.pop('y')], axis=1)
             yield Block(rows, ', '.join(cells), stated)
@@ -306,9 +306,9 @@ def _read_npz(path: Path) -> Iterator[Block]:
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise RecordingError(f'{path} is no NPZ file of arrays: {reason(error)}') from error
     units = str(arrays.pop('units', ''))
+    whole = [array for array in arrays.values() if _is_table(array)]
     timed = any(_meaning(key) in TIMES for key in arrays)
-    whole = [] if timed else [array for array in arrays.values() if _is_table(array)]
-    yield from _blocks(path, whole[0] if len(whole) == 1 else arrays, units)
+    yield from _blocks(path, whole[0] if len(whole) == 1 and not timed else arrays, units)
 
 
 _READERS: Final[dict[str, Callable[[Path], Iterator[Block]]]] = {
