@@ -37,7 +37,7 @@ from mixtac_core.recordings.recording import (
     RecordingInfo,
     Selection,
 )
-from mixtac_core.recordings.table_recording import FileRecording
+from mixtac_core.recordings.table_recording import FileRecording, Streams
 from mixtac_core.recordings.tables import Rows, optional_module
 
 SIZES: Final = {'davis346': (346, 260), 'davis240': (240, 180), 'sbret': (240, 180)}
@@ -100,9 +100,9 @@ def open_aedat2(
             ' and export events as csv with columns t, x, y, p',
         )
     counters = ReadCounters()
-    streams = {'events': partial(_events_of_words, path, start, size[0], counters)}
-    if selection.events == NONE:
-        streams = {}
+    streams: Streams = {}
+    if selection.events != NONE:
+        streams['events'] = partial(_events_of_words, path, start, size[0], counters)
     return FileRecording(path, 'AEDAT 2 file', streams, size, counters=counters)
 
 
@@ -152,7 +152,7 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
         )
     camera = '' if selection.events == NONE else selection.events
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
-    streams: dict[str, Callable[[], Iterator[Rows]]] = {}
+    streams: Streams = {}
     try:
         file = _open(path, camera)
         _check(path, camera)

@@ -149,15 +149,13 @@ def _camera(recording: Recording, counts: Counts) -> TableParts:
         for piece in pieces:
             counts.add(piece)
             for frame in piece.frames:
-                yield (
-                    'frames',
-                    {
-                        'exposure_start': np.array([frame.exposure_start_us]),
-                        'exposure_end': np.array([frame.exposure_end_us]),
-                        'origin': np.array([[frame.x, frame.y]]),
-                        'image': frame.image[None],
-                    },
-                )
+                columns = {
+                    'exposure_start': np.array([frame.exposure_start_us]),
+                    'exposure_end': np.array([frame.exposure_end_us]),
+                    'origin': np.array([[frame.x, frame.y]]),
+                    'image': frame.image[None],
+                }
+                yield 'frames', columns
             if len(piece.edges.t):
                 yield 'edges', {'t': piece.edges.t, 'kind': piece.edges.kind}
 

@@ -197,17 +197,21 @@ def _write(
     origin_ns = 0 if same_clock or not len(stamps_ns) else int(stamps_ns[0])
     due_ns = np.maximum.accumulate(stamps_ns) - origin_ns
     reached_us = start_us = latest_us = -1
-    written = 0
+    written = received_ns = 0
+
+    def write_forces(until: int) -> None:
+        for row in range(written, until):
+            force_ns, due = int(stamps_ns[row]), min(max(int(due_ns[row]), 0), received_ns)
+            writer.wrench(REFERENCE_WRENCH, force_ns, values[row], REFERENCE_FRAME, due)
+
     for piece in recording.pieces():
-        piece.check()
         if start_us < 0:
             start_us = piece.start_us
             due_ns += 0 if same_clock else 1000 * start_us
         reached_us = max(reached_us, piece.until_us)
         received_ns = 1000 * reached_us
         until = int(np.searchsorted(due_ns, received_ns, 'right'))
-        for row in range(written, until):
-            _write_force(writer, int(stamps_ns[row]), values[row], int(due_ns[row]))
+        write_forces(until)
         written = until
         if len(piece.events):
             latest_us = _checked_end(piece.events, latest_us)
@@ -219,8 +223,7 @@ def _write(
         counts.add(piece)
     if start_us < 0:
         raise RecordingError('there is nothing to import: no events and no frames')
-    for row in range(written, len(stamps_ns)):
-        _write_force(writer, int(stamps_ns[row]), values[row], 1000 * reached_us)
+    write_forces(len(stamps_ns))
     if len(stamps_ns):
         counts.wrenches[REFERENCE] = len(stamps_ns)
         if same_clock:
@@ -229,12 +232,6 @@ def _write(
     # Closes the packet of the last millisecond.
     writer.events(Events.empty(), reached_us + 1000, 1000 * reached_us)
     return counts
-
-
-def _write_force(
-    writer: StreamWriter, stamp_ns: int, values: NDArray[np.float64], received_ns: int
-) -> None:
-    writer.wrench(REFERENCE_WRENCH, stamp_ns, values, REFERENCE_FRAME, max(received_ns, 0))
 
 
 def _check_overlap(forces_s: NDArray[np.float64], camera_s: NDArray[np.float64]) -> None:

@@ -53,6 +53,8 @@ SLICE_US: Final = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""
 MOST_GREY: Final = 1023
 DAVIS346: Final = (346, 260)
+Streams = dict[str, Callable[[], Iterator[Rows]]]
+"""What reads each stream from its beginning, some rows at a time, by its name."""
 
 
 class FileRecording:
@@ -61,8 +63,7 @@ class FileRecording:
     Args:
         path: The file or the folder.
         kind: Its format, as shown to users.
-        streams: What reads each stream from its beginning, some rows at a time; times in
-            microseconds, frames of 10 bits.
+        streams: Its streams; times in microseconds, frames of 10 bits.
         size: Width and height of the camera.
         camera: Name of the camera.
         end_us: Time of the last reading [us], 0 if unknown.
@@ -82,7 +83,7 @@ class FileRecording:
         self,
         path: Path,
         kind: str,
-        streams: Mapping[str, Callable[[], Iterator[Rows]]],
+        streams: Streams,
         size: tuple[int, int],
         *,
         camera: str = '',
@@ -95,7 +96,10 @@ class FileRecording:
         self._streams, self._forces = streams, forces
         starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
         if not starts:
-            raise RecordingError(f'{path} holds nothing: no events and no frames')
+            raise RecordingError(
+                f'{path} holds nothing: no events and no frames',
+                remedy='name the tables events and frames; in HDF5, choose a group with --events',
+            )
         self.info = RecordingInfo(
             path=path,
             kind=kind,
@@ -177,7 +181,7 @@ def open_table_recording(
         options: How to read them.
 
     Raises:
-        RecordingError: They cannot be read, are of other data, or there is nothing to choose.
+        RecordingError: They cannot be read, or there is nothing to choose.
     """
     is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
     tables = find_tables(path, group=selection.events if is_hdf5 else '')
@@ -188,40 +192,19 @@ def open_table_recording(
             f'{path} holds tables: there is nothing to choose',
             remedy='leave out --events, --image and --imu',
         )
-    if not tables.keys() & {'events', 'frames'}:
-        raise RecordingError(
-            f'{path} holds neither events nor frames, but {", ".join(sorted(tables))}',
-            remedy='name the tables events and frames; in HDF5, choose a group with --events',
-        )
-    streams: dict[str, Callable[[], Iterator[Rows]]] = {
-        name: partial(_checked_rows, path, name, tables[name], options.time_unit)
+    known, unit = options.size, options.time_unit
+    if known is None and 'frames' in tables:
+        for rows in itertools.islice(_checked_rows(path, 'frames', tables['frames'], unit), 1):
+            known = rows['image'].shape[2], rows['image'].shape[1]
+    size = known or DAVIS346
+    streams: Streams = {
+        name: partial(_checked_rows, path, name, tables[name], unit, size=size)
         for name in ('imu', 'edges', 'events', 'frames')
         if name in tables
     }
-    size = options.size
-    for rows in (
-        itertools.islice(streams['frames'](), 0 if size else 1) if 'frames' in tables else ()
-    ):
-        size = rows['image'].shape[2], rows['image'].shape[1]
-    if 'events' in tables:
-        events = streams['events']
-        streams['events'] = lambda: _inside(events(), *(size or DAVIS346))
     name, unit = topic_file(REFERENCE), options.force_unit
     forces = partial(_force_rows, path, name, tables[name], unit) if name in tables else None
-    known = size is not None
-    return FileRecording(path, 'tables', streams, size or DAVIS346, size_known=known, forces=forces)
-
-
-def _inside(stream: Iterator[Rows], width: int, height: int) -> Iterator[Rows]:
-    for rows in stream:
-        x, y = rows['x'], rows['y']
-        if min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height:
-            raise RecordingError(
-                f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
-                f' outside of {width} x {height} pixels',
-                remedy='give the size of the camera with --size',
-            )
-        yield rows
+    return FileRecording(path, 'tables', streams, size, size_known=bool(known), forces=forces)
 
 
 def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
@@ -265,7 +248,13 @@ def _vector(rows: Rows, name: str, missing: float) -> NDArray[np.float64]:
 
 
 def _checked_rows(
-    path: Path, name: str, read: Callable[[], Iterator[Block]], unit: str, wanted_ns: int = 1000
+    path: Path,
+    name: str,
+    read: Callable[[], Iterator[Block]],
+    unit: str,
+    *,
+    size: tuple[int, int] = DAVIS346,
+    wanted_ns: int = 1000,
 ) -> Iterator[Rows]:
     """Yield the columns of a table, some rows at a time; frames are of 10 bits.
 
@@ -274,6 +263,7 @@ def _checked_rows(
         name: The table.
         read: What reads it.
         unit: Unit of its times where the file states none; empty for whole microseconds.
+        size: Width and height of the camera.
         wanted_ns: Unit of the times that are returned [ns].
 
     Raises:
@@ -299,8 +289,9 @@ def _checked_rows(
         for key in times:
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
         if name == 'events':
-            rows['polarity'] = _polarity(path, rows['polarity'])
-        elif name == 'frames':
+            _check_events(path, rows, size)
+            rows['polarity'] = rows['polarity'] > 0
+        if name == 'frames':
             rows['image'] = _grey(path, rows['image'])
             rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
         if count:
@@ -347,14 +338,19 @@ def _scaled(place: str, t: NDArray[Any], unit: str, wanted_ns: int) -> NDArray[n
     return t.astype(np.int64) * unit_ns // wanted_ns
 
 
-def _polarity(path: Path, column: NDArray[Any]) -> NDArray[np.bool_]:
-    values = np.unique(column).tolist()
+def _check_events(path: Path, rows: Rows, size: tuple[int, int]) -> None:
+    x, y, values = rows['x'], rows['y'], np.unique(rows['polarity']).tolist()
     if not (set(values) <= {0, 1} or set(values) <= {-1, 1}):
         raise RecordingError(
             f'{path}: polarity has the values {", ".join(map(str, values[:5]))}',
             remedy='write 0 and 1, -1 and 1, or true and false',
         )
-    return column > 0
+    if len(x) and (min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]):
+        raise RecordingError(
+            f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
+            f' outside of {size[0]} x {size[1]} pixels',
+            remedy='give the size of the camera with --size',
+        )
 
 
 def _grey(path: Path, image: NDArray[Any]) -> NDArray[np.uint16]:
