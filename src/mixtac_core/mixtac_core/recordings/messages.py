@@ -269,14 +269,14 @@ def _set_time(stamp: Any, t_ns: int) -> None:  # noqa: ANN401
     stamp.sec, stamp.nanosec = divmod(int(t_ns), 1_000_000_000)
 
 
-def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Frame:  # noqa: ANN401
-    """Return the frame of an Image; all its times are its stamp, the middle of its exposure.
+def read_frame(message: Any, t_us: int, corner: tuple[int, int]) -> Frame:  # noqa: ANN401
+    """Return the frame of an Image; all its times are that of the middle of its exposure.
 
     Pixels become 10 bits, as the camera's converter has: the upper 10 of 16, or 8 and two zeros.
 
     Args:
         message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
+        t_us: Its time [us, recorded camera clock].
         corner: Column and row of the image's first pixel in the whole array.
 
     Raises:
@@ -284,24 +284,13 @@ def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Fram
     """
     check_image(message)
     try:
-        found = pixels(message)
+        image = ten_bits(pixels(message))
     except ImageConversionError as error:
         raise RecordingError(str(error)) from error
-    middle_us = stamp_to_us(message.header.stamp) - offset_us
-    return Frame(
-        image=ten_bits(found),
-        x=corner[0],
-        y=corner[1],
-        frame_start_us=middle_us,
-        exposure_start_us=middle_us,
-        exposure_end_us=middle_us,
-        frame_end_us=middle_us,
-        exposure_cycles=0,
-        global_shutter=True,
-    )
+    return Frame(image, *corner, t_us, t_us, t_us, t_us, 0, True)
 
 
-def exposed_frame(frame: Frame, message: Any, *, offset_us: int) -> Frame:  # noqa: ANN401
+def exposed_frame(frame: Frame, message: Any, offset_us: int) -> Frame:  # noqa: ANN401
     """Return a frame with the times of its FrameExposure message.
 
     Args:
@@ -309,49 +298,32 @@ def exposed_frame(frame: Frame, message: Any, *, offset_us: int) -> Frame:  # no
         message: The message.
         offset_us: Subtracted from its times to get the recorded camera clock.
     """
-
-    def time_us(name: str) -> int:
-        return stamp_to_us(getattr(message, name)) - offset_us
-
+    names = ('frame_start', 'exposure_start', 'exposure_end', 'frame_end')
+    times = {f'{name}_us': stamp_to_us(getattr(message, name)) - offset_us for name in names}
     return replace(
         frame,
-        frame_start_us=time_us('frame_start'),
-        exposure_start_us=time_us('exposure_start'),
-        exposure_end_us=time_us('exposure_end'),
-        frame_end_us=time_us('frame_end'),
-        exposure_cycles=time_us('exposure_end') - time_us('exposure_start'),
+        **times,
+        exposure_cycles=times['exposure_end_us'] - times['exposure_start_us'],
         global_shutter=message.shutter == GLOBAL_SHUTTER,
     )
 
 
-def read_edges(message: Any, *, offset_us: int) -> Edges:  # noqa: ANN401
-    """Return the one edge of an ExternalEdge message.
-
-    Args:
-        message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
-    """
-    t = np.array([stamp_to_us(message.header.stamp) - offset_us], np.int64)
-    return Edges(t, np.array([message.kind], np.uint8))
+def read_edges(message: Any, t_us: int) -> Edges:  # noqa: ANN401
+    """Return the one edge of an ExternalEdge message, at a time [us, recorded camera clock]."""
+    return Edges(np.array([t_us], np.int64), np.array([message.kind], np.uint8))
 
 
-def read_samples(
-    message: Any,  # noqa: ANN401
-    *,
-    offset_us: int,
-    celsius: float = math.nan,
-) -> InertialSamples:
+def read_samples(message: Any, t_us: int, celsius: float = math.nan) -> InertialSamples:  # noqa: ANN401
     """Return the one sample of an Imu message; values marked as missing are NaN (REP-145).
 
     Args:
         message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
-        celsius: Temperature of the inertial unit at its stamp [degrees Celsius], NaN if unknown.
+        t_us: Its time [us, recorded camera clock].
+        celsius: Temperature of the inertial unit at that time [degrees Celsius], NaN if unknown.
     """
-    t = np.array([stamp_to_us(message.header.stamp) - offset_us], np.int64)
     acceleration = _vector(message.linear_acceleration, message.linear_acceleration_covariance)
     rotation = _vector(message.angular_velocity, message.angular_velocity_covariance)
-    return InertialSamples(t, acceleration, rotation, np.array([celsius]))
+    return InertialSamples(np.array([t_us], np.int64), acceleration, rotation, np.array([celsius]))
 
 
 def check_image(message: Any) -> None:  # noqa: ANN401
