@@ -24,13 +24,8 @@ from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Nodetype,
-)
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, Nodetype
+from rosbags.interfaces import MessageDefinitionFormat as Format
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -210,7 +205,7 @@ class BagFile:
         cause: Exception | None = None
         for path in files:
             try:
-                self._readers.append(self._opened(self._expanded(path)))
+                self._readers.append(self._opened(path))
             except Exception as error:  # noqa: BLE001  (as in `messages`)
                 cause = error
                 self._missing.append(f'{path.name} cannot be read: {reason(error)}')
@@ -218,18 +213,14 @@ class BagFile:
             raise self._damaged(cause) from cause
         self._readers.sort(key=lambda each: each.start_time)
 
-    def _expanded(self, path: Path) -> Path:
-        """Return a file that is not compressed as a whole: the same, or a temporary one."""
-        if path.suffix != '.zstd':
-            return path
-        folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
-        expanded = Path(folder) / path.stem
-        with path.open('rb') as source, expanded.open('wb') as file:
-            zstandard.ZstdDecompressor().copy_stream(source, file)
-        return expanded
-
     def _opened(self, path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
         """Open a file of the bag, or the folder of a bag that is compressed by message."""
+        if path.suffix == '.zstd':
+            folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
+            expanded = Path(folder) / path.stem
+            with path.open('rb') as source, expanded.open('wb') as file:
+                zstandard.ZstdDecompressor().copy_stream(source, file)
+            path = expanded
         if path.suffix == '.mcap':
             return McapFile(path)
         log = path.with_name(f'{path.name}-wal')
@@ -347,10 +338,7 @@ class McapFile:
                 for record in StreamReader(file, emit_chunks=True, record_size_limit=size).records:
                     if isinstance(record, DataEnd):
                         return
-                    if isinstance(record, Chunk):
-                        yield from self._inside(record, at)
-                    else:
-                        yield record
+                    yield from self._inside(record, at) if isinstance(record, Chunk) else (record,)
                     at = file.tell()
             except Exception as error:  # noqa: BLE001  (as above)
                 self.notes[at] = f'{name} ends or is damaged at byte {at} ({reason(error)})'
@@ -376,7 +364,7 @@ class McapFile:
             channel.id,
             channel.topic,
             schema.name if schema else '',
-            MessageDefinition(MessageDefinitionFormat.MSG, text),
+            MessageDefinition(Format.MSG, text),
             channel.metadata.get('topic_type_hash', ''),
             count,
             ConnectionExtRosbag2(channel.message_encoding, profiles),

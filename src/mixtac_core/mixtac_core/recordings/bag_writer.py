@@ -12,16 +12,8 @@ from collections import Counter, deque
 from pathlib import Path
 from types import MappingProxyType
 
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
@@ -78,15 +70,17 @@ class McapBag(Writer):
             type_name: For example `sensor_msgs/msg/Image`.
             latched: True for transient local, as `ros2 bag play` then offers it.
         """
-        zero = QosTime(0, 0)
-        qos = Qos(
-            history=QosHistory.KEEP_LAST,
+        zero = interfaces.QosTime(0, 0)
+        qos = interfaces.Qos(
+            history=interfaces.QosHistory.KEEP_LAST,
             depth=1000,
-            reliability=QosReliability.RELIABLE,
-            durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+            reliability=interfaces.QosReliability.RELIABLE,
+            durability=interfaces.QosDurability.TRANSIENT_LOCAL
+            if latched
+            else interfaces.QosDurability.VOLATILE,
             deadline=zero,
             lifespan=zero,
-            liveliness=QosLiveliness.AUTOMATIC,
+            liveliness=interfaces.QosLiveliness.AUTOMATIC,
             liveliness_lease_duration=zero,
             avoid_ros_namespace_conventions=False,
         )
@@ -113,7 +107,7 @@ class McapBag(Writer):
             if each.topic in {without, *handles}:
                 continue
             definition, known = each.msgdef.data, typestore()
-            digest = each.digest or _NO_DIGEST
+            digest = each.digest or f'RIHS01_{0:064}'
             if each.msgtype in known.fielddefs:
                 definition = definition or known.generate_msgdef(each.msgtype, ros_version=2)[0]
                 digest = known.hash_rihs01(each.msgtype)
@@ -126,9 +120,6 @@ class McapBag(Writer):
                 **each.ext._asdict(),
             )
         return handles
-
-
-_NO_DIGEST = f'RIHS01_{0:064}'
 
 
 def repair(path: Path, out: Path) -> tuple[Counter[str], str]:

@@ -13,9 +13,8 @@ import math
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from mixtac_core.events.codec import READABLE, StreamDecoder
+from mixtac_core.events.codec import StreamDecoder
 from mixtac_core.events.packets import CodecError
 from mixtac_core.events.sequence import SequenceCounter
 from mixtac_core.node import topics
@@ -25,6 +24,7 @@ from mixtac_core.recordings.aedat2 import Aedat2Recording
 from mixtac_core.recordings.aedat4 import Aedat4Recording
 from mixtac_core.recordings.bag import BagFile, is_bag
 from mixtac_core.recordings.event_arrays import EVENT_ARRAYS, EventArray, read_event_array
+from mixtac_core.recordings.messages import Message
 from mixtac_core.recordings.recording import (
     AEDAT2,
     AEDAT4,
@@ -66,7 +66,7 @@ class BagRecording:
         self.counters = ReadCounters()
         self._path = path
         self._bag = BagFile(path)
-        self._unreadable: dict[str, str] = {}
+        self._unreadable: list[str] = []
         self._decoder, self._sequence = StreamDecoder(), SequenceCounter()
         self._offset_us, self._corner = 0, (0, 0)
         self._celsius: dict[int, float] = {}
@@ -81,9 +81,8 @@ class BagRecording:
     @property
     def info(self) -> RecordingInfo:
         """Description; its damage is what has been found so far."""
-        unreadable = [f'{topic} is left out: {why}' for topic, why in self._unreadable.items()]
-        damage = '; '.join(filter(None, (self._bag.damage, *unreadable)))
-        return replace(self._info, damage=damage)
+        damage = filter(None, (self._bag.damage, *self._unreadable))
+        return replace(self._info, damage='; '.join(damage))
 
     def wrenches(self) -> Mapping[str, Wrenches]:
         """Return the recorded forces by their topics; those of a topic come at once."""
@@ -102,31 +101,27 @@ class BagRecording:
         """
         self._decoder, self._sequence = StreamDecoder(), SequenceCounter()
         named = (self._events, self._images, self._imu, self._exposures, self._edges)
-        # A frame waits for the message with its exposure, at most until the next frame.
         held: Piece | None = None
         for topic, message in self._messages(*named, self._temperatures):
             if topic == self._temperatures:
                 self._celsius = {stamp_to_us(message.header.stamp): float(message.temperature)}
-            elif topic == self._exposures:
+                continue
+            if topic == self._exposures:
                 if held and stamp_to_us(message.header.stamp) - self._offset_us == held.start_us:
                     frame = convert.exposed_frame(held.frames[0], message, self._offset_us)
                     yield replace(held, frames=(frame,))
                     held = None
-            elif topic == self._images:
-                if held:
-                    yield held
-                held = self._piece(topic, message)
-                if not self._exposures:
-                    yield held
-                    held = None
-            else:
-                piece = self._piece(topic, message)
-                if topic != self._events or self._decoder.timed:
-                    yield piece
+                continue
+            piece: Piece | None = self._piece(topic, message)
+            if topic == self._images and self._exposures:
+                # A frame waits for the message with its exposure, at most until the next frame.
+                piece, held = held, piece
+            if piece and (topic != self._events or self._decoder.timed):
+                yield piece
         if held:
             yield held
 
-    def _messages(self, *wanted: str | None) -> Iterator[tuple[str, Any]]:
+    def _messages(self, *wanted: str | None) -> Iterator[tuple[str, Message]]:
         """Yield the messages of some topics: event arrays decoded, images only with a stamp."""
         raw = {topic for topic in wanted if topic and self._bag.types[topic] in EVENT_ARRAYS}
         for topic, _, message in self._bag.messages(*filter(None, wanted), raw=raw):
@@ -135,7 +130,7 @@ class BagRecording:
             else:
                 yield topic, read_event_array(message) if topic in raw else message
 
-    def _first(self, topic: str | None) -> Any:  # noqa: ANN401
+    def _first(self, topic: str | None) -> Message:
         for _, message in self._messages(topic):
             return message
         raise RecordingError(f'{self._path} has no message with a time on {topic}')
@@ -143,7 +138,7 @@ class BagRecording:
     def _choose(self, selection: Selection) -> None:
         path, bag = self._path, self._bag
         self._image_topics = bag.topics(topics.IMAGE_RAW.type_name)
-        events = self._readable(topics.EVENTS.type_name, selection.events, _check_packet)
+        events = self._readable(topics.EVENTS.type_name, selection.events, StreamDecoder().decode)
         events += bag.topics(*EVENT_ARRAYS) if bag.is_ros1 else []
         self._events = choose(events, selection.events, kind='events', path=path)
         beside = self._events or ''
@@ -157,13 +152,15 @@ class BagRecording:
         # Frames set the pace if there are no events, inertial samples if there is neither.
         self._leader = self._events or self._images or self._imu
         if self._leader is None:
-            why = ''.join(f'; {topic}: {reason}' for topic, reason in self._unreadable.items())
+            what = 'no event packets, images or inertial samples that can be read'
             raise RecordingError(
-                f'{path} holds no event packets, images or inertial samples that can be read{why}',
+                '; '.join((f'{path} holds {what}', *self._unreadable)),
                 remedy='choose a bag of a camera, or check the playback_..._topic parameters',
             )
 
-    def _readable(self, type_name: str, wanted: str, check: Callable[[Any], None]) -> list[str]:
+    def _readable(
+        self, type_name: str, wanted: str, check: Callable[[Message], object]
+    ) -> list[str]:
         """Return the topics of a type that can be read; note the others, unless one is named."""
         found = []
         for topic in self._bag.topics(type_name):
@@ -173,7 +170,7 @@ class BagRecording:
             except (RecordingError, CodecError) as error:
                 if topic == wanted:
                     raise RecordingError(f'{self._path}, {topic}: {error}') from error
-                self._unreadable[topic] = str(error)
+                self._unreadable.append(f'{topic} is left out: {error}')
         return found
 
     def _beside(self, kind: topics.Topic, topic: str | None) -> str | None:
@@ -201,7 +198,11 @@ class BagRecording:
                 if self._decoder.timed:
                     break
             size = int(first.width), int(first.height)
-            self._offset_us = self._host_offset_us(_stamp_us(first), start_us)
+            apart_us, beside = _stamp_us(first) - start_us, self._images or self._imu
+            if beside and abs(apart_us) > OTHER_CLOCK_US:
+                # Stamps nearer to those of the packets than to the events are host times.
+                later_us = _stamp_us(self._first(beside)) - start_us
+                self._offset_us = apart_us if abs(later_us - apart_us) < abs(later_us) else 0
         clock = f'{(self._leader or "").rpartition("/")[0]}/{topics.CAMERA_CLOCK.name}'
         known = clock in self._bag.topics(topics.CAMERA_CLOCK.type_name)
         names = (('events', self._events), ('image', self._images), ('imu', self._imu))
@@ -217,20 +218,7 @@ class BagRecording:
             contents=tuple((kind, topic) for kind, topic in names if topic),
         )
 
-    def _host_offset_us(self, stamp_us: int, start_us: int) -> int:
-        """Return how far frames and samples are ahead of the camera clock; 0 if they are on it.
-
-        Args:
-            stamp_us: Stamp of the first event packet [us].
-            start_us: Its first event [us, camera clock].
-        """
-        apart_us, beside = stamp_us - start_us, self._images or self._imu
-        if beside is None or abs(apart_us) <= OTHER_CLOCK_US:
-            return 0
-        later_us = _stamp_us(self._first(beside)) - start_us
-        return apart_us if abs(later_us - apart_us) < abs(later_us) else 0
-
-    def _piece(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
+    def _piece(self, topic: str, message: Message) -> Piece:
         try:
             piece = self._converted(topic, message)
             piece.check()
@@ -238,17 +226,17 @@ class BagRecording:
             raise RecordingError(f'{self._path}, {topic}: {error}') from error
         return piece
 
-    def _converted(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
+    def _converted(self, topic: str, message: Message) -> Piece:
         if topic == self._events:
             self.counters.packets_missing += self._sequence.update(message.seq)
             if isinstance(message, EventArray):
                 self.counters.events_outside += message.outside
                 self.counters.events_unsorted += message.unsorted
-                times = message.events.t[[0, -1]] if len(message.events) else [message.stamp_us] * 2
-                return Piece(int(times[0]), int(times[1]), advances=True, events=message.events)
+                t = message.events.t if len(message.events) else [message.stamp_us]
+                return Piece(int(t[0]), int(t[-1]), advances=True, events=message.events)
             packet = self._decoder.decode(message)
-            times = packet.start_us, packet.complete_until
-            return Piece(*times, advances=True, events=packet.events)
+            start_us, until_us = packet.start_us, packet.complete_until
+            return Piece(start_us, until_us, advances=True, events=packet.events)
         stamp_us = stamp_to_us(message.header.stamp)
         t_us, advances = stamp_us - self._offset_us, topic == self._leader
         if topic == self._imu:
@@ -260,17 +248,9 @@ class BagRecording:
         return Piece(t_us, t_us, advances=advances, frames=(frame,))
 
 
-def _stamp_us(message: Any) -> int:  # noqa: ANN401
-    if isinstance(message, EventArray):
-        return message.stamp_us
-    return stamp_to_us(message.header.stamp)
-
-
-def _check_packet(message: Any) -> None:  # noqa: ANN401
-    if message.encoding not in READABLE:
-        raise RecordingError(
-            f'encoding {message.encoding!r} cannot be decoded, only {", ".join(READABLE)}'
-        )
+def _stamp_us(message: Message) -> int:
+    is_array = isinstance(message, EventArray)
+    return message.stamp_us if is_array else stamp_to_us(message.header.stamp)
 
 
 def open_recording(

@@ -9,7 +9,7 @@ Readers of a format are in `camera_stream` (bags) and `aedat4` beside this modul
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -243,7 +243,7 @@ class Recording(Protocol):
 
 
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
-    """Yield pieces without the data before a time.
+    """Yield pieces without the data before a time; of the piece around it, its later events.
 
     Once a recorded clock was reset, everything counts as later. What was recorded between the reset
     and the first packet of the new clock is left out.
@@ -262,15 +262,9 @@ def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
             continue
         if reset or piece.start_us >= from_us:
             yield piece
-        elif piece.until_us >= from_us:
-            yield replace(
-                piece,
-                start_us=from_us,
-                events=piece.events[piece.events.t >= from_us],
-                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-                imu=piece.imu[piece.imu.t >= from_us],
-                edges=piece.edges[piece.edges.t >= from_us],
-            )
+        elif piece.until_us >= from_us and piece.advances:
+            events = piece.events[piece.events.t >= from_us]
+            yield Piece(from_us, piece.until_us, advances=True, events=events)
 
 
 NONE = 'none'

@@ -9,9 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.events.arrays import Events
-from mixtac_core.events.codec import decode_message
-from mixtac_core.events.packetizer import Packet
 from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
@@ -29,13 +26,6 @@ FRAME = Frame(
     exposure_cycles=4001,
     global_shutter=True,
 )
-EVENTS = Events(
-    np.array([5, 7, 7]),
-    np.array([1, 2, 3], 'u2'),
-    np.array([4, 5, 6], 'u2'),
-    np.array([1, 0, 1]) > 0,
-)
-PACKET = Packet(77_000_000_123, EVENTS, 900)
 SAMPLES = InertialSamples(
     np.array([10, 20]),
     np.array([[1.0, 2.0, 3.0], [np.nan] * 3]),
@@ -48,7 +38,6 @@ def built(new):
     """Return one message of each kind."""
     image = messages.image(FRAME, ORIGIN_US, 2, 'camera', new)
     return [
-        messages.event_packet(PACKET, 9, (346, 260), 'camera', new),
         image,
         messages.camera_info(FRAME, (346, 260), image, new),
         messages.frame_exposure(FRAME, ORIGIN_US, image, new),
@@ -69,9 +58,7 @@ def test_both_kinds_of_messages_are_equal():
 
 
 def test_readings_come_back():
-    packet, image, info, exposure, first, second, _, _, edge = built(blank_message)
-    assert decode_message(packet).events.t.tolist() == [5, 7, 7]
-    assert packet.header.stamp.nanosec == 123
+    image, info, exposure, first, second, _, _, edge = built(blank_message)
     assert (info.roi.x_offset, info.roi.y_offset) == (FRAME.x, FRAME.y)
     read = messages.read_frame(image, FRAME.middle_us, (FRAME.x, FRAME.y))
     read = messages.exposed_frame(read, exposure, ORIGIN_US)
