@@ -14,6 +14,7 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ class BagFile:
         start_ns: When the first message was received [ns, host clock of the recorder].
         duration_ns: From the first to the last message [ns].
         counts: Messages by topic.
-        types: Type name by topic; with the encoding of the messages where that is not CDR.
+        types: Type name by topic.
 
     Raises:
         RecordingError: There is no bag.
@@ -124,10 +125,8 @@ class BagFile:
         self.counts: Counter[str] = Counter()
         self.types: dict[str, str] = {}
         for each in self.connections:
-            form = getattr(each.ext, 'serialization_format', 'cdr')
             self.counts[each.topic] += each.msgcount
-            kind = each.msgtype
-            self.types[each.topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
+            self.types[each.topic] = each.msgtype
 
     def __enter__(self) -> BagFile:
         """Return the open bag."""
@@ -184,7 +183,7 @@ class BagFile:
             Stamps [ns, clock of the topic], [n], and force [N] and torque [N m], [n, 6].
         """
         table = np.fromiter(
-            ((stamp_to_ns(m.header.stamp), _six(m.wrench)) for _, _, m in self.messages(topic)),
+            ((stamp_to_ns(m.header.stamp), _SIX(m.wrench)) for _, _, m in self.messages(topic)),
             np.dtype([('t', np.int64), ('wrench', np.float64, 6)]),
         )
         return table['t'], table['wrench']
@@ -248,9 +247,7 @@ class BagFile:
         )
 
 
-def _six(wrench: Any) -> tuple[float, ...]:  # noqa: ANN401
-    force, torque = wrench.force, wrench.torque
-    return force.x, force.y, force.z, torque.x, torque.y, torque.z
+_SIX = attrgetter('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z')
 
 
 class McapFile:
@@ -276,7 +273,6 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: dict[int, str] = {}
-        self.start_time = self.end_time = 0
         self._schemas: dict[int, Schema] = {}
         try:
             with path.open('rb') as file:
@@ -286,11 +282,7 @@ class McapFile:
         if summary and summary.statistics:
             found, channels, self._schemas = summary.statistics, summary.channels, summary.schemas
             counts = Counter(found.channel_message_counts)
-            if found.message_count:
-                self.start_time, self.end_time = (
-                    found.message_start_time,
-                    found.message_end_time + 1,
-                )
+            self.start_time, self.end_time = found.message_start_time, found.message_end_time + 1
         else:
             channels, counts = self._count()
         self.connections = [self._connection(each, counts[key]) for key, each in channels.items()]
@@ -395,8 +387,7 @@ def _facts(bag: Path) -> dict[str, Any]:
 
 def custom_data(bag: Path) -> dict[str, str]:
     """Return what metadata.yaml says of a bag by keys of its writer; empty if it cannot be read."""
-    content = _facts(bag).get('custom_data')
-    return {str(key): str(value) for key, value in content.items()} if content else {}
+    return dict(_facts(bag).get('custom_data') or {})
 
 
 def fit_path(bag: Path) -> Path:
@@ -410,13 +401,9 @@ def check_new(bag: Path) -> None:
     Raises:
         RecordingError: The bag or a fit of its name exists.
     """
-    if bag.exists():
-        raise RecordingError(f'{bag} exists', remedy='name a new folder')
-    if fit_path(bag).exists():
-        raise RecordingError(
-            f'{fit_path(bag)} is the clock fit of an earlier bag',
-            remedy='remove it, or name a new folder',
-        )
+    for path in (bag, fit_path(bag)):
+        if path.exists():
+            raise RecordingError(f'{path} exists', remedy='remove it, or name a new folder')
 
 
 def find_bags(path: Path, depth: int = 3) -> list[Path]:

@@ -125,7 +125,8 @@ class BagRecording:
         """Yield the messages of some topics: event arrays decoded, images only with a stamp."""
         raw = {topic for topic in wanted if topic and self._bag.types[topic] in EVENT_ARRAYS}
         for topic, _, message in self._bag.messages(*filter(None, wanted), raw=raw):
-            if topic in self._image_topics and not stamp_to_us(message.header.stamp):
+            is_image = self._bag.types[topic] == topics.IMAGE_RAW.type_name
+            if is_image and not stamp_to_us(message.header.stamp):
                 self.counters.frames_without_time += 1
             else:
                 yield topic, read_event_array(message) if topic in raw else message
@@ -137,7 +138,6 @@ class BagRecording:
 
     def _choose(self, selection: Selection) -> None:
         path, bag = self._path, self._bag
-        self._image_topics = bag.topics(topics.IMAGE_RAW.type_name)
         events = self._readable(topics.EVENTS.type_name, selection.events, StreamDecoder().decode)
         events += bag.topics(*EVENT_ARRAYS) if bag.is_ros1 else []
         self._events = choose(events, selection.events, kind='events', path=path)

@@ -36,9 +36,7 @@ BAYER = {1: 'rggb', 2: 'grbg', 3: 'gbrg', 4: 'bggr'}
 EXPOSURE_TIMES = ('frame_start', 'exposure_start', 'exposure_end', 'frame_end')
 """Fields of FrameExposure, and with `_us` attributes of `Frame`."""
 GLOBAL_SHUTTER = 0
-"""Value of FrameExposure.shutter."""
-ROLLING_SHUTTER = 1
-"""Value of FrameExposure.shutter."""
+"""Value of FrameExposure.shutter; 1 is the rolling shutter."""
 
 
 def ros_message(type_name: str) -> Message:
@@ -187,7 +185,7 @@ def frame_exposure(
     message.header = image_message.header
     for name in EXPOSURE_TIMES:
         _set_time(getattr(message, name), 1000 * (getattr(frame, f'{name}_us') + origin_us))
-    message.shutter = GLOBAL_SHUTTER if frame.global_shutter else ROLLING_SHUTTER
+    message.shutter = GLOBAL_SHUTTER if frame.global_shutter else 1
     return message
 
 

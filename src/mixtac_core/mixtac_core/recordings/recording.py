@@ -140,12 +140,10 @@ class Piece:
         Raises:
             DamagedRecordingError: A time is negative or too large.
         """
-        times = [self.start_us, self.until_us]
-        if len(self.events):
-            times += [int(self.events.t.min()), int(self.events.t.max())]
-        if min(times) < 0 or max(times) > LATEST_US:
+        t = np.append(self.events.t, (self.start_us, self.until_us))
+        if t.min() < 0 or t.max() > LATEST_US:
             raise DamagedRecordingError(
-                f'a time of {min(times)} .. {max(times)} us is outside 0 .. {LATEST_US}'
+                f'a time of {t.min()} .. {t.max()} us is outside 0 .. {LATEST_US}'
             )
 
 

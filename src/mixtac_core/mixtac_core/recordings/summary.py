@@ -89,8 +89,7 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
             notes += [f'{missing} messages of its index are missing'] if missing > 0 else []
         except DamagedRecordingError as error:
             notes.append(str(error))
-        arrays = EVENT_ARRAYS if bag.is_ros1 else ()
-        for topic in bag.topics(EVENTS.type_name, *arrays):
+        for topic in bag.topics(EVENTS.type_name, *(EVENT_ARRAYS if bag.is_ros1 else ())):
             try:
                 with contextlib.closing(BagRecording(path, Selection(topic, NONE, NONE))) as each:
                     part = _summarise_readings(each)
