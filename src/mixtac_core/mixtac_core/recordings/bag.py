@@ -85,7 +85,7 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
     return np.zeros(count, kind)
 
 
-class BagFile:
+class BagFile(contextlib.AbstractContextManager['BagFile']):
     """A bag, open for reading.
 
     Args:
@@ -127,10 +127,6 @@ class BagFile:
         for each in self.connections:
             self.counts[each.topic] += each.msgcount
             self.types[each.topic] = each.msgtype
-
-    def __enter__(self) -> BagFile:
-        """Return the open bag."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Close the bag."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from rosbags import interfaces
-from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
@@ -95,12 +95,17 @@ class McapBag(Writer):
         kept by its name.
 
         Args:
-            bag: The other bag, of ROS 2.
+            bag: The other bag.
             without: Topic to leave out.
 
         Returns:
             Handles to write messages with, by topic.
+
+        Raises:
+            RecordingError: The other bag is of ROS 1.
         """
+        if bag.is_ros1:
+            raise RecordingError(f'{bag.path} is a ROS 1 bag', remedy='run `mixtac import` on it')
         self.custom_data.update(custom_data(bag.path))
         handles: dict[str, Connection] = {}
         for each in bag.connections:
@@ -111,7 +116,6 @@ class McapBag(Writer):
             if each.msgtype in known.fielddefs:
                 definition = definition or known.generate_msgdef(each.msgtype, ros_version=2)[0]
                 digest = known.hash_rihs01(each.msgtype)
-            assert isinstance(each.ext, ConnectionExtRosbag2)  # noqa: S101  (all bags of ROS 2)
             handles[each.topic] = self.add_connection(
                 each.topic,
                 each.msgtype,
@@ -139,8 +143,6 @@ def repair(path: Path, out: Path) -> tuple[Counter[str], str]:
     check_new(out)
     counts: Counter[str] = Counter()
     with BagFile(path) as bag, new_folder(out) as made, McapBag(made) as writer:
-        if bag.is_ros1:
-            raise RecordingError(f'{path} is a ROS 1 bag', remedy='run `mixtac import` on it')
         handles = writer.add_topics_of(bag)
         for topic, received_ns, data in bag.messages(*handles, raw=handles):
             writer.write(handles[topic], received_ns, data)
@@ -168,8 +170,7 @@ class BagWriter:
 
     def __init__(self, path: Path) -> None:
         check_new(path)
-        self.dropped = 0
-        self.failure, self._broken, self._path = '', False, path
+        self.dropped, self.failure, self._broken, self._path = 0, '', False, path
         try:
             self._writer = McapBag(path)
             self._writer.open()

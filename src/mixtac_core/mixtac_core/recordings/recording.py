@@ -9,7 +9,7 @@ Readers of a format are in `camera_stream` (bags) and `aedat4` beside this modul
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -241,7 +241,7 @@ class Recording(Protocol):
 
 
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
-    """Yield pieces without the data before a time; of the piece around it, its later events.
+    """Yield pieces without the data before a time.
 
     Once a recorded clock was reset, everything counts as later. What was recorded between the reset
     and the first packet of the new clock is left out.
@@ -260,9 +260,15 @@ def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
             continue
         if reset or piece.start_us >= from_us:
             yield piece
-        elif piece.until_us >= from_us and piece.advances:
-            events = piece.events[piece.events.t >= from_us]
-            yield Piece(from_us, piece.until_us, advances=True, events=events)
+        elif piece.until_us >= from_us:
+            yield replace(
+                piece,
+                start_us=from_us,
+                events=piece.events[piece.events.t >= from_us],
+                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+                imu=piece.imu[piece.imu.t >= from_us],
+                edges=piece.edges[piece.edges.t >= from_us],
+            )
 
 
 NONE = 'none'
@@ -311,8 +317,7 @@ def choose(
         space = f'{beside.rpartition("/")[0]}/'
         names = [name for name in names if name.startswith(space)]
         # Samples are a level below: imu/data_raw.
-        least = min((name.count('/') for name in names), default=0)
-        names = [name for name in names if name.count('/') == least]
+        names = [name for name in names if name.count('/') == min(n.count('/') for n in names)]
     if len(names) == 1 or not (found or wanted):
         return names[0] if names else None
     remedy = (

@@ -81,6 +81,14 @@ def test_colour_filters_are_recovered_from_any_corner(number, x, y):
     assert messages.color_filter(encoding, x, y) == (number if number in messages.BAYER else 0)
 
 
+@pytest.mark.parametrize(
+    ('values', 'expected'),
+    [(np.array([1, 255], 'u1'), [4, 1020]), (np.array([64, 65535], 'u2'), [1, 1023])],
+)
+def test_pixels_become_ten_bits(values, expected):
+    assert messages.ten_bits(values).tolist() == expected
+
+
 @pytest.mark.parametrize('encoding', ['rgb8', 'bayer_xxxx8', 'mono12', ''])
 def test_other_images_are_refused(encoding):
     message = messages.image(FRAME, ORIGIN_US, 0, 'camera', blank_message)
