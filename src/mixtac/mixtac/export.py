@@ -165,8 +165,8 @@ def repair(
     The new bag is in MCAP with an index, checksums and metadata.yaml.
     """
     console = Console(markup=False)
-    repaired = repair_bag(recording, out)
-    console.print(f'{out}: {sum(repaired.counts.values())} messages')
-    for topic, count in sorted(repaired.counts.items()):
+    counts, damage = repair_bag(recording, out)
+    console.print(f'{out}: {counts.total()} messages')
+    for topic, count in sorted(counts.items()):
         console.print(f'{topic}: {count} messages')
-    _warn(console, [repaired.damage] if repaired.damage else [])
+    _warn(console, [damage] if damage else [])

@@ -142,13 +142,13 @@ def _progress(listener: Listener, out: Path, elapsed_s: float) -> Table:
     rows = [
         (
             *(meter.topic.name, meter.messages, f'{meter.rate_hz:.1f}'),
-            *(f'{meter.size / 1e6:.2f}', meter.missing),
+            *(f'{1e-9 * meter.longest_gap_ns:.3f}', f'{meter.size / 1e6:.2f}', meter.missing),
         )
         for meter in listener.meters
         if meter.messages
     ]
     title = f'{out}, {elapsed_s:.0f} s; press Ctrl-C to stop'
-    table = make_table(title, ('topic', 'messages', 'Hz', 'MB', 'lost'), rows)
+    table = make_table(title, ('topic', 'messages', 'Hz', 'longest gap (s)', 'MB', 'lost'), rows)
     table.caption = (
         f'{size / 1e6:.1f} MB, {free_bytes(out) / 1e9:.1f} GB left on the disk, '
         f'{dropped} messages dropped'

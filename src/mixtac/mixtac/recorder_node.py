@@ -18,7 +18,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import Connection
 
-from mixtac.meter import EVEN, RecordingSummary, TopicMeter
+from mixtac.meter import RecordingSummary, TopicMeter
 from mixtac.monitor_node import CommandNode
 from mixtac.parameters import RecorderParameters
 from mixtac_core.events.errors import MixtacError
@@ -84,13 +84,12 @@ class Listener(CommandNode):
         for each in TOPICS:
             if each.name in exclude:
                 continue
-            reference = each.name == REFERENCE
             chosen = replace(
                 each,
-                name=reference_topic if reference else each.name,
+                name=reference_topic if each.name == REFERENCE else each.name,
                 depth=1 if each.latched else max(DEPTH, each.depth),
             )
-            meter = TopicMeter(chosen, even=reference or each.name in EVEN)
+            meter = TopicMeter(chosen)
             self.meters.append(meter)
             self.subscribe_topic(chosen, partial(self._on_message, meter), raw=True)
 

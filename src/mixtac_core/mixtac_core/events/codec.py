@@ -21,8 +21,6 @@ from mixtac_core.events.packets import LIBCAER_CMP, CodecError, DecodedPacket, E
 # In quotes: Python 3.11 cannot subscript array.
 Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
 _DECODERS = {LIBCAER_CMP: libcaer_cmp.decode, foreign.LIBCAER: foreign.decode_libcaer}
-READABLE = (*_DECODERS, foreign.EVT3)
-"""Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
 MAX_SPAN_US: Final = 1 << 24
@@ -138,7 +136,7 @@ def decode_message(message: PacketMessage) -> DecodedPacket:
 class StreamDecoder:
     """Decodes the messages of one topic of a recording in their order; each pass needs its own.
 
-    It reads all of `READABLE`: packets of `evt3` continue the ones before them.
+    It reads `evt3` as well, whose packets continue the ones before them.
 
     Attributes:
         timed: Whether the times of the latest packet mean anything: those of `evt3` do not before

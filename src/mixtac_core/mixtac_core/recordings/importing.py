@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.packetizer import Packetizer
+from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder
@@ -43,24 +44,26 @@ class StreamWriter:
 
     def __init__(self, bag: McapBag, size: tuple[int, int], *, color_filter: int = 0) -> None:
         self._bag, self._size, self._color_filter = bag, size, color_filter
-        self._packetizer = Packetizer()
+        self._packetizer, self._packets = Packetizer(), PacketWriter(topics.CAMERA_FRAME, size)
         self._sequence = self._edges = 0
         self._handles: dict[str, Any] = {}
 
     def put(self, topic: Topic, received_ns: int, message: Any) -> None:  # noqa: ANN401
-        """Write a message of `blank_message`.
+        """Write a message.
 
         Args:
             topic: Its topic.
             received_ns: Host time of its reception [ns since the Unix epoch].
-            message: The message.
+            message: The message of `blank_message`, or its bytes.
         """
         if topic.name not in self._handles:
             name = topic.resolved(topics.DEFAULT_NAMESPACE)
             self._handles[topic.name] = self._bag.add_topic(
                 name, topic.type_name, latched=topic.latched
             )
-        data = bytes(typestore().serialize_cdr(message, topic.type_name))
+        data = message
+        if not isinstance(message, bytes):
+            data = bytes(typestore().serialize_cdr(message, topic.type_name))
         self._bag.write(self._handles[topic.name], received_ns, data)
 
     def events(self, events: Events, until_us: int, arrival_ns: int) -> None:
@@ -72,10 +75,8 @@ class StreamWriter:
             arrival_ns: Host time of their arrival [ns since the Unix epoch].
         """
         for packet in self._packetizer.push(events, until_us, arrival_ns):
-            message = messages.event_packet(
-                packet, self._sequence, self._size, topics.CAMERA_FRAME, blank_message
-            )
-            self.put(topics.EVENTS, arrival_ns, message)
+            data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
+            self.put(topics.EVENTS, arrival_ns, data)
             self._sequence += 1
 
     def frame(self, frame: Frame, origin_us: int, received_ns: int) -> None:
