@@ -12,7 +12,6 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mixtac.figures import make_table
 from mixtac.options import OptionalPath, Split
@@ -27,37 +26,20 @@ from mixtac_core.recordings.tables import TableOptions
 from mixtac_fger.alignment.bags import write_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
 
-EventsOf = Annotated[
-    str,
-    typer.Option(
-        '--events',
-        help='Topic of events, if there are several; camera in an AEDAT4 file; group in an HDF5'
-        ' file. none omits the events.',
-    ),
-]
+_EVENTS = 'Topic of events, camera in an AEDAT4 file, or group in an HDF5 file; none omits them.'
+EventsOf = Annotated[str, typer.Option('--events', help=_EVENTS)]
 ImageOf = Annotated[str, typer.Option('--image', help='Topic of frames; none omits them.')]
 ImuOf = Annotated[str, typer.Option('--imu', help='Topic of inertial samples; none omits them.')]
-
-TimeUnit = Annotated[
-    str,
-    typer.Option(
-        help='Unit of camera times if the file states none: ns, us, ms or s. Empty: us; times must'
-        ' then be whole numbers.'
-    ),
-]
-Size = Annotated[
-    str,
-    typer.Option(
-        help='Width and height of the camera in pixels, such as 346x260, if the file does not state'
-        ' them. Empty: size of the frames.'
-    ),
-]
+_TIME_UNIT = 'Unit of camera times that the file does not state: ns, us, ms, s. Empty: whole us.'
+TimeUnit = Annotated[str, typer.Option(help=_TIME_UNIT)]
+_SIZE = 'Size of the camera in pixels, as 346x260, if the file states none. Empty: that of frames.'
+Size = Annotated[str, typer.Option(help=_SIZE)]
+_FORCE_UNIT = 'Unit of the times of forces that the file does not state. Empty: s.'
+_SOURCE = '.csv, .txt, .npz, .h5, .aedat4, .aedat, .bag, a bag, or a folder of `mixtac export`.'
 
 
 def export(
-    recording: Annotated[
-        Path, typer.Argument(help='Folder of a bag, or any file that import reads.')
-    ],
+    recording: Annotated[Path, typer.Argument(help='A bag, or any file that import reads.')],
     to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
     events: EventsOf = '',
@@ -66,19 +48,11 @@ def export(
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
     console = Console(markup=False)
-    columns = (TextColumn('{task.description}', markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bars:
-        bar = bars.add_task(str(recording), total=1.0)
-        counts = export_recording(
-            recording,
-            to,
-            out,
-            lambda done: bars.update(bar, completed=done),
-            Selection(events, image, imu),
-        )
+    with console.status(escape(f'reading {recording}')):
+        counts = export_recording(recording, to, out, Selection(events, image, imu))
     console.print(
-        f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
-        f'samples, {counts.edges} edges'
+        f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial samples,'
+        f' {counts.edges} edges'
     )
     if to == 'aedat4':
         console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
@@ -93,30 +67,18 @@ def _warn(console: Console, warnings: list[str]) -> None:
 
 
 def import_(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help='Camera data: .csv, .txt, .npz, .h5, .aedat4, .aedat, .bag, a bag, or a folder'
-            ' that `mixtac export` wrote.'
-        ),
-    ],
+    source: Annotated[Path, typer.Argument(help=_SOURCE)],
     out: Annotated[Path, typer.Option(help='Folder of the new bag.')],
     forces: Annotated[
         OptionalPath, typer.Option(help='Table of the reference force: .csv or .npz.')
     ] = None,
     same_clock: Annotated[
-        bool,
-        typer.Option('--same-clock', help='The forces are stamped on the camera clock.'),
+        bool, typer.Option('--same-clock', help='The forces are stamped on the camera clock.')
     ] = False,
     time_unit: TimeUnit = '',
-    force_unit: Annotated[
-        str,
-        typer.Option(help='Unit of the times of forces if the file states none; empty: s.'),
-    ] = '',
+    force_unit: Annotated[str, typer.Option(help=_FORCE_UNIT)] = '',
     size: Size = '',
-    profile: Annotated[
-        str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
-    ] = '',
+    profile: Annotated[str, typer.Option(help='Kind of motion in dataset.yaml, as static.')] = '',
     split: Split = '',
     events: EventsOf = '',
     image: ImageOf = '',
@@ -126,33 +88,26 @@ def import_(
     options = TableOptions(time_unit, force_unit, _size(size))
     if profile or split:
         read_recordings(out.absolute().parent / FILE_NAME)
-    console = Console(markup=False)
+    console, selection = Console(markup=False), Selection(events, image, imu)
     with console.status(escape(f'reading {source}')):
         counts = import_recording(
-            source,
-            out,
-            forces=forces,
-            same_clock=same_clock,
-            options=options,
-            selection=Selection(events, image, imu),
+            source, out, forces=forces, same_clock=same_clock, options=options, selection=selection
         )
-    wrenches = counts.wrenches.get(REFERENCE, 0)
-    figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
-    seconds = 1e-6 * counts.length_us
+    wrenches, seconds = counts.wrenches.get(REFERENCE, 0), 1e-6 * counts.length_us
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
     console.print(
-        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, times on a grid of'
-        f' {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s,'
+        f' {counts.info.width} x {counts.info.height} pixels'
     )
     if same_clock and wrenches:
-        console.print(f'clock fit: {write_fit(_one_clock(), out)}')
+        one = ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), np.zeros(0), method='one clock')
+        console.print(f'clock fit: {write_fit(one, out)}')
     elif wrenches:
         console.print(f'the forces are on a clock of their own: next, mixtac align {out}')
     if profile or split:
-        path = add_recording(
-            out, {**figures, 'imported_from': source.name}, profile=profile, split=split
-        )
-        console.print(f'described in {path}')
+        figures: dict[str, object] = {'events': counts.events, 'frames': counts.frames}
+        figures |= {'forces': wrenches, 'imported_from': source.name}
+        console.print(f'described in {add_recording(out, figures, profile=profile, split=split)}')
     lacking = [] if counts.frames else ['no frames: the force cannot be estimated']
     _warn(console, lacking + counts.warnings())
 
@@ -166,15 +121,9 @@ def _size(text: str) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def _one_clock() -> ClockFit:
-    """Return the map of two streams on one clock."""
-    nothing = np.zeros(0)
-    return ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), nothing, method='one clock')
-
-
 def inspect(
     bag: Annotated[
-        OptionalPath, typer.Argument(help='Folder of a bag, or any file that import reads.')
+        OptionalPath, typer.Argument(help='A bag, or any file that import reads.')
     ] = None,
     time_unit: TimeUnit = '',
     size: Size = '',
@@ -186,8 +135,11 @@ def inspect(
 
     Exit status 1 if the recording is incomplete or damaged.
     """
+    console = Console(markup=False)
     if formats:
-        _list_formats()
+        known = [(each.name, ' '.join(each.suffixes), each.remedy or 'read') for each in FORMATS]
+        title = 'read by inspect, import, export and up --device; or what to do instead'
+        console.print(make_table(title, ('format', 'suffixes', 'way'), known, words=3))
         return
     if bag is None:
         raise typer.BadParameter('give a recording, or --formats')
@@ -198,18 +150,10 @@ def inspect(
         counted = (events.events, events.lost_packets) if events else ('', '')
         rows.append((topic, summary.types[topic], count, *counted))
     headings = ('topic', 'type', 'messages', 'events', 'lost packets')
-    title = f'{bag}, {summary.duration_s:.1f} s'
-    console = Console(markup=False)
-    console.print(make_table(title, headings, rows, words=2))
+    console.print(make_table(f'{bag}, {summary.duration_s:.1f} s', headings, rows, words=2))
     _warn(console, summary.warnings)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
-
-
-def _list_formats() -> None:
-    rows = [(each.name, ' '.join(each.suffixes), each.remedy or 'read') for each in FORMATS]
-    title = 'read by inspect, import, export and up --device; or what to do instead'
-    Console(markup=False).print(make_table(title, ('format', 'suffixes', 'way'), rows, words=3))
 
 
 def repair(
@@ -221,8 +165,8 @@ def repair(
     The new bag is in MCAP with an index, checksums and metadata.yaml.
     """
     console = Console(markup=False)
-    repaired = repair_bag(recording, out)
-    console.print(f'{out}: {sum(repaired.counts.values())} messages')
-    for topic, count in sorted(repaired.counts.items()):
+    counts, damage = repair_bag(recording, out)
+    console.print(f'{out}: {counts.total()} messages')
+    for topic, count in sorted(counts.items()):
         console.print(f'{topic}: {count} messages')
-    _warn(console, [repaired.damage] if repaired.damage else [])
+    _warn(console, [damage] if damage else [])

@@ -121,11 +121,18 @@ def _show(
 def _progress(listener: Listener, out: Path, elapsed_s: float) -> Table:
     """Return the state of a recording; topics without messages are left out."""
     rows = [
-        (m.topic.name, m.messages, f'{m.rate_hz:.1f}', f'{m.size / 1e6:.2f}', m.missing)
+        (
+            m.topic.name,
+            m.messages,
+            f'{m.rate_hz:.1f}',
+            f'{1e-9 * m.longest_gap_ns:.3f}',
+            f'{m.size / 1e6:.2f}',
+            m.missing,
+        )
         for m in listener.meters
         if m.messages
     ]
     title = f'{out}, {elapsed_s:.0f} s; press Ctrl-C to stop'
-    table = make_table(title, ('topic', 'messages', 'Hz', 'MB', 'lost'), rows)
+    table = make_table(title, ('topic', 'messages', 'Hz', 'longest gap (s)', 'MB', 'lost'), rows)
     table.caption = f'{shutil.disk_usage(out).free / 1e9:.1f} GB left on the disk'
     return table

@@ -8,12 +8,10 @@ The recorder node is for machines without `ros2 bag record`.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,8 +20,7 @@ from rosbags.interfaces import Connection
 from mixtac.monitor_node import CommandNode
 from mixtac.parameters import RecorderParameters
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.events.packets import CodecError, header_stamp_ns, read_packet
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
@@ -32,14 +29,6 @@ from mixtac_core.recordings.bag_writer import BagWriter
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_core.recordings.recording import RecordingError
 
-EVEN: Final = {topics.REFERENCE} | {
-    each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topics.TRUTH_WRENCH)
-}
-"""Topics whose stamps are evenly spaced."""
-GAP: Final = 1.5
-"""A message is missing if two stamps are this many usual intervals apart."""
-LEARNING: Final = 16
-"""Number of latest intervals whose median is the usual one."""
 DEPTH: Final = 1000
 """Least queue depth of a subscription: messages of about one second."""
 
@@ -47,28 +36,28 @@ DEPTH: Final = 1000
 class TopicMeter:
     """Counts the messages of one topic.
 
+    Only event packets have numbers that show a loss. The other topics show their rate and their
+    longest gap.
+
     Args:
         topic: The topic.
-        even: Whether its stamps are evenly spaced.
 
     Attributes:
         topic: As given.
         messages: Messages that arrived whole.
         size: Their serialised size [bytes].
-        missing: Messages lost: by the numbers of event packets, by gaps in the stamps of evenly
-            spaced topics; or damaged.
+        missing: Event packets lost by their numbers; damaged messages.
+        longest_gap_ns: Longest time between two arrivals [ns].
     """
 
-    def __init__(self, topic: Topic, *, even: bool) -> None:
-        self.topic, self._even = topic, even
+    def __init__(self, topic: Topic) -> None:
+        self.topic = topic
         self._sequence = SequenceCounter()
-        self._intervals_ns: deque[int] = deque(maxlen=LEARNING)
-        self._stamp_ns = 0
         self.restart()
 
     def restart(self) -> None:
-        """Count from zero; the usual interval stays known."""
-        self.messages = self.size = self.missing = 0
+        """Count from zero."""
+        self.messages = self.size = self.missing = self.longest_gap_ns = 0
         self._first_ns = self._last_ns = 0
 
     def add(self, received_ns: int, data: bytes) -> bool:
@@ -76,14 +65,13 @@ class TopicMeter:
         try:
             if self.topic.type_name == topics.EVENTS.type_name:
                 self.missing += self._sequence.update(read_packet(data).seq)
-            elif self._even:
-                self._follow_stamp(header_stamp_ns(data))
         except CodecError:
             self.missing += 1
             return False
         self.messages += 1
         self.size += len(data)
         self._first_ns = self._first_ns or received_ns
+        self.longest_gap_ns = max(self.longest_gap_ns, received_ns - (self._last_ns or received_ns))
         self._last_ns = received_ns
         return True
 
@@ -98,21 +86,10 @@ class TopicMeter:
         return {
             'messages': self.messages,
             'rate_hz': round(self.rate_hz, 3),
+            'longest_gap_s': round(1e-9 * self.longest_gap_ns, 6),
             'octets': self.size,
             'missing': self.missing,
         }
-
-    def _follow_stamp(self, stamp_ns: int) -> None:
-        last_ns, self._stamp_ns = self._stamp_ns, stamp_ns
-        interval_ns = stamp_ns - last_ns
-        if not last_ns or interval_ns <= 0:
-            return
-        if len(self._intervals_ns) == LEARNING:
-            # The median of the latest ones follows a change of the exposure interval.
-            usual_ns = median(self._intervals_ns)
-            if interval_ns > GAP * usual_ns:
-                self.missing += round(interval_ns / usual_ns) - 1
-        self._intervals_ns.append(interval_ns)
 
 
 class Listener(CommandNode):
@@ -166,7 +143,7 @@ class Listener(CommandNode):
                 continue
             topic = reference if each.name == topics.REFERENCE else each
             topic = replace(topic, depth=1 if topic.latched else max(DEPTH, topic.depth))
-            meter = TopicMeter(topic, even=each.name in EVEN)
+            meter = TopicMeter(topic)
             self.meters.append(meter)
             self.subscribe_topic(topic, partial(self._on_message, meter), raw=True)
         self.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)

@@ -27,8 +27,7 @@ from rclpy.node import Node
 from mixtac.parameters import ViewParameters
 from mixtac_core.events.codec import decode_message, warm_up
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.events.packets import CodecError
-from mixtac_core.events.sequence import SequenceCounter
+from mixtac_core.events.packets import CodecError, SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, RateMeter, Status

@@ -22,9 +22,9 @@ from mixtac_core.events.readings import Edges
 from mixtac_core.node import topics
 from mixtac_core.recordings.bag import BagFile, blank_message, custom_data, fit_path
 from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.importing import StreamWriter
 from mixtac_core.recordings.messages import set_header
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_core.recordings.stream_writer import StreamWriter
 from mixtac_fger.alignment.bags import read_fit, rewrite_bag
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_fger.alignment.errors import AlignmentError

@@ -15,7 +15,7 @@ from mixtac_core.events.codec import encode
 from mixtac_core.node import topics
 from mixtac_core.recordings.bag import blank_message
 from mixtac_core.recordings.bag_writer import McapBag
-from mixtac_core.recordings.stream_writer import StreamWriter
+from mixtac_core.recordings.importing import StreamWriter
 
 
 def test_the_streams_of_a_bag_are_read(tmp_path):

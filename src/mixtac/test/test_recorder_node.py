@@ -147,31 +147,22 @@ def stamped(stamp_ns: int) -> bytes:
 
 
 def test_packets_missing_by_number_are_counted(packet):
-    meter = TopicMeter(EVENTS, even=False)
+    meter = TopicMeter(EVENTS)
     for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
         meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
     assert (meter.messages, meter.missing) == (6, 2)
 
 
-def test_frames_missing_by_their_stamps_are_counted():
-    meter = TopicMeter(IMAGE_RAW, even=True)
-    numbers = [n for n in range(60) if n not in {30, 40, 41}]
-    for n in numbers:
-        meter.add(n, stamped(10**9 + n * 25_000_000 + (n % 3) * 10_000))
-    assert (meter.messages, meter.missing) == (57, 3)
-
-
-def test_a_slower_rate_is_learned_and_not_counted_for_ever():
-    meter = TopicMeter(IMAGE_RAW, even=True)
-    stamps = [n * 25_000_000 for n in range(33)]
-    stamps += [stamps[-1] + (n + 1) * 100_000_000 for n in range(200)]
-    for stamp in stamps:
-        meter.add(stamp, stamped(10**9 + stamp))
-    assert 0 < meter.missing <= 3 * 17
+def test_topics_without_numbers_show_their_longest_gap():
+    meter = TopicMeter(IMAGE_RAW)
+    for n in (0, 1, 2, 5, 6):
+        meter.add(10**9 + n * 25_000_000, stamped(10**9))
+    assert (meter.messages, meter.missing) == (5, 0)
+    assert meter.figures()['longest_gap_s'] == pytest.approx(0.075)
 
 
 def test_a_restart_counts_from_zero():
-    meter = TopicMeter(FORCE, even=True)
+    meter = TopicMeter(FORCE)
     for n in range(20):
         meter.add(1 + n, stamped(10**9 + n * 2_000_000))
     meter.restart()
@@ -180,14 +171,14 @@ def test_a_restart_counts_from_zero():
 
 
 def test_rate_is_that_of_the_arrivals():
-    meter = TopicMeter(FORCE, even=True)
+    meter = TopicMeter(FORCE)
     for n in range(11):
         meter.add(10**9 + n * 2_000_000, stamped(10**9 + n * 2_000_000))
     assert meter.rate_hz == pytest.approx(500.0)
 
 
 def test_the_verdict_names_what_was_lost(packet):
-    meter = TopicMeter(EVENTS, even=False)
+    meter = TopicMeter(EVENTS)
     for seq in (0, 4):
         meter.add(1, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
     nothing = {'seconds': 1.0, 'not_written': 0, 'stopped': '', 'topics': {}}
@@ -199,14 +190,14 @@ def test_the_verdict_names_what_was_lost(packet):
 
 @pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(8), b'\0\1\0\0' + b'\xff' * 30])
 def test_damaged_packets_are_lost(packet, data):
-    meter = TopicMeter(EVENTS, even=False)
+    meter = TopicMeter(EVENTS)
     assert not meter.add(10**9, data)
     assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
     assert (meter.messages, meter.missing) == (1, 1)
 
 
 def test_jitter_of_stamps_is_no_loss():
-    meter = TopicMeter(FORCE, even=True)
+    meter = TopicMeter(FORCE)
     jitter = np.random.default_rng(0).normal(0.0, 0.1, 4000)
     for n, part in enumerate(jitter):
         meter.add(n, stamped(10**9 + int((n + part) * 1_250_000)))

@@ -22,8 +22,6 @@ from mixtac_core.events.packets import LIBCAER_CMP, CodecError, DecodedPacket, E
 Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
 PacketMessage: TypeAlias = Any
 """An `event_camera_msgs/EventPacket` of rclpy or rosbags, or a `SerialisedPacket`."""
-READABLE = (LIBCAER_CMP, foreign.LIBCAER, foreign.EVT3)
-"""Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
 MAX_SPAN_US: Final = 1 << 24
@@ -147,7 +145,7 @@ def decode_message(message: PacketMessage) -> DecodedPacket:
 class StreamDecoder:
     """Decodes the messages of one topic of a recording in their order; each pass needs its own.
 
-    It reads all of `READABLE`: packets of `evt3` continue the ones before them.
+    It reads `evt3` as well, whose packets continue the ones before them.
 
     Attributes:
         timed: Whether the times of the latest packet mean anything: those of `evt3` do not before

@@ -49,11 +49,6 @@ class Topic:
     depth: int = 10
     latched: bool = False
 
-    @property
-    def has_header(self) -> bool:
-        """Whether its messages begin with a `std_msgs/Header`."""
-        return not self.type_name.startswith('std_msgs/')
-
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
         return absolute(self.name, namespace)

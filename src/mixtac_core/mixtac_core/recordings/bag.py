@@ -2,32 +2,39 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read bags of ROS 2 (folder, .mcap, .db3) and ROS 1 (.bag) and their types, without rclpy.
 
-The intact part of a truncated or damaged MCAP file is read (`mixtac_core.recordings.mcap_file`).
+MCAP files are read chunk by chunk, so that damage affects only the chunks that it hit: a chunk with
+a wrong checksum is skipped, a truncated file is read up to the cut.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zstandard
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, Nodetype
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, Nodetype
+from rosbags.interfaces import MessageDefinitionFormat as Format
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mixtac_core.node import topics
 from mixtac_core.node.files import FileError, read_data, share
 from mixtac_core.node.topics import stamp_to_ns
-from mixtac_core.recordings.mcap_file import McapFile
 from mixtac_core.recordings.recording import (
     BAG_SUFFIXES,
     ROS1_SUFFIX,
@@ -36,15 +43,6 @@ from mixtac_core.recordings.recording import (
     not_a_recording,
     reason,
 )
-
-_OWN_TYPES = sorted(
-    {
-        topic.type_name
-        for topic in topics.TOPICS
-        if topic.type_name.startswith(('event_camera_msgs/', 'mixtac_msgs/'))
-    }
-)
-"""Message types of this workspace, which rosbags does not know."""
 
 
 @functools.cache
@@ -55,7 +53,7 @@ def typestore() -> Typestore:
         ShareError: The packages that define them are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for name in _OWN_TYPES:
+    for name in sorted({topic.type_name for topic in topics.TOPICS} - store.types.keys()):
         package, _, message = name.split('/')
         text = (share(package) / 'msg' / f'{message}.msg').read_text()
         store.register(get_types_from_msg(text, name))
@@ -86,7 +84,7 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
     return np.zeros(count, kind)
 
 
-class BagFile:
+class BagFile(contextlib.AbstractContextManager['BagFile']):
     """A bag, open for reading.
 
     Args:
@@ -95,10 +93,11 @@ class BagFile:
     Attributes:
         path: As given.
         is_ros1: Whether messages are serialised as ROS 1 does, instead of in CDR.
+        connections: Type and QoS of each topic, of each of its files.
         start_ns: When the first message was received [ns, host clock of the recorder].
         duration_ns: From the first to the last message [ns].
         counts: Messages by topic.
-        types: Type name by topic; with the encoding of the messages where that is not CDR.
+        types: Type name by topic.
 
     Raises:
         RecordingError: There is no bag.
@@ -110,10 +109,9 @@ class BagFile:
         self.is_ros1 = path.suffix.lower() == ROS1_SUFFIX and path.is_file()
         if not path.exists():
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
-        self._types = typestore()
         self._readers: list[Any] = []
         self._held = contextlib.ExitStack()
-        self._missing = ''
+        self._missing: list[str] = []
         try:
             self._open()
         except BaseException:
@@ -122,18 +120,12 @@ class BagFile:
         filled = [each for each in self._readers if each.message_count]
         self.start_ns = min((each.start_time for each in filled), default=0)
         self.duration_ns = max((each.end_time for each in filled), default=0) - self.start_ns
-        self.counts: dict[str, int] = {}
+        self.connections: list[Connection] = [c for each in self._readers for c in each.connections]
+        self.counts: Counter[str] = Counter()
         self.types: dict[str, str] = {}
-        for connection in self.connections:
-            topic = connection.topic
-            self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
-            form = getattr(connection.ext, 'serialization_format', 'cdr')
-            kind = connection.msgtype
-            self.types[topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
-
-    def __enter__(self) -> BagFile:
-        """Return the open bag."""
-        return self
+        for each in self.connections:
+            self.counts[each.topic] += each.msgcount
+            self.types[each.topic] = each.msgtype
 
     def __exit__(self, *_: object) -> None:
         """Close the bag."""
@@ -141,9 +133,6 @@ class BagFile:
 
     def close(self) -> None:
         """Close the files."""
-        for reader in self._readers:
-            reader.close()
-        self._readers = []
         self._held.close()
 
     @property
@@ -151,23 +140,14 @@ class BagFile:
         """What is missing because the bag is incomplete, as far as it has been read; else empty."""
         scans = [each for each in self._readers if isinstance(each, McapFile)]
         notes = [note for scan in scans for _, note in sorted(scan.notes.items())]
-        text = '; '.join(filter(None, (self._missing, *notes)))
+        text = '; '.join(self._missing + notes)
         return f'the bag is incomplete: {text}' if text else ''
-
-    @property
-    def connections(self) -> list[Connection]:
-        """Return the connections of all files of the bag, with type and QoS of each topic."""
-        return [connection for reader in self._readers for connection in reader.connections]
 
     def topics(self, *type_names: str) -> list[str]:
         """Return the topics of some message types that hold any messages, sorted."""
         return sorted(t for t, kind in self.types.items() if kind in type_names and self.counts[t])
 
-    def messages(
-        self,
-        *wanted: str,
-        raw: Collection[str] = (),
-    ) -> Iterator[tuple[str, int, Any]]:
+    def messages(self, *wanted: str, raw: Collection[str] = ()) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time received [ns, host clock], message) in recording order.
 
         Args:
@@ -178,84 +158,204 @@ class BagFile:
             RecordingError: A topic was not recorded.
             DamagedRecordingError: The data are damaged.
         """
-        missing = set(wanted) - set(self.types)
-        if missing:
+        if missing := set(wanted) - set(self.types):
             listed = ', '.join(self.types) or 'no topics'
             raise RecordingError(f'{self.path} has no topic {min(missing)}; it has {listed}')
         for reader in self._readers:
             chosen = [each for each in reader.connections if each.topic in wanted]
-            messages = reader.messages(chosen) if chosen else iter(())
-            while True:
-                try:
-                    connection, received_ns, data = next(messages)
-                    message = (
-                        data if connection.topic in raw else self._deserialised(connection, data)
-                    )
-                except StopIteration:
-                    break
-                except Exception as error:  # the parsers raise whatever damage leads them to
-                    raise self._damaged(error) from error
-                yield connection.topic, received_ns, message
-
-    def _deserialised(self, connection: Connection, data: bytes) -> Any:  # noqa: ANN401
-        if self.is_ros1:
-            return self._readers[0].deserialize(data, connection.msgtype)
-        return self._types.deserialize_cdr(data, connection.msgtype)
+            read = reader.deserialize if self.is_ros1 else typestore().deserialize_cdr
+            try:
+                for each, received_ns, data in reader.messages(chosen) if chosen else ():
+                    message = data if each.topic in raw else read(data, each.msgtype)
+                    yield each.topic, received_ns, message
+            except Exception as error:  # the parsers raise whatever damage leads them to
+                raise self._damaged(error) from error
 
     def wrenches(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the stamps [n] [ns, the topic's own clock] and forces x, y, z [n, 3] [N]."""
-        stamps, forces = [], []
-        for _, _, message in self.messages(topic):
-            stamps.append(stamp_to_ns(message.header.stamp))
-            forces.append((*topics.sideways_force(message), topics.normal_force(message)))
-        return np.array(stamps, np.int64), np.array(forces, np.float64).reshape(-1, 3)
+        """Return the wrenches of a topic.
+
+        Returns:
+            Stamps [ns, clock of the topic], [n], and force [N] and torque [N m], [n, 6].
+        """
+        table = np.fromiter(
+            ((stamp_to_ns(m.header.stamp), _SIX(m.wrench)) for _, _, m in self.messages(topic)),
+            np.dtype([('t', np.int64), ('wrench', np.float64, 6)]),
+        )
+        return table['t'], table['wrench']
 
     def _open(self) -> None:
         """Open the files of the bag, in the order of their first messages."""
         folder = self.path if self.path.is_dir() else None
         files = sorted(filter(is_storage, folder.iterdir())) if folder else [self.path]
-        facts = _facts(folder) if folder else {}
-        if not files or not (self.is_ros1 or is_storage(files[0])):
+        if not files or not is_bag(files[0]):
             raise not_a_recording(self.path)
-        named = [Path(str(each)).name for each in facts.get('relative_file_paths') or []]
-        lost = sorted(set(named) - {each.name for each in files})
-        self._missing = f'missing files: {", ".join(lost)}' if lost else ''
+        facts = _facts(folder) if folder else {}
+        named = {Path(str(each)).name for each in facts.get('relative_file_paths') or ()}
+        lost = sorted(named - {each.name for each in files})
+        self._missing += [f'missing files: {", ".join(lost)}'] if lost else []
+        if folder and str(facts.get('compression_mode')).upper() == 'MESSAGE':
+            # The library expands what is compressed by message, as metadata.yaml says.
+            files = [folder]
         cause: Exception | None = None
-        # The library expands what is compressed by message, as metadata.yaml says.
-        by_message = str(facts.get('compression_mode')).upper() == 'MESSAGE'
-        for path in [folder] if folder and by_message else files:
+        for path in files:
             try:
-                self._readers.append(_opened(self._expanded(path)))
+                self._readers.append(self._opened(path))
             except Exception as error:  # noqa: BLE001  (as in `messages`)
                 cause = error
-                self._missing += f'; {path.name} cannot be read: {reason(error)}'
-        self._missing = self._missing.removeprefix('; ')
+                self._missing.append(f'{path.name} cannot be read: {reason(error)}')
         if cause is not None and not any(each.message_count for each in self._readers):
             raise self._damaged(cause) from cause
         self._readers.sort(key=lambda each: each.start_time)
 
-    def _expanded(self, path: Path) -> Path:
-        """Return a file that is not compressed as a whole: the same, or a temporary one."""
-        if path.suffix != '.zstd':
-            return path
-        folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
-        expanded = Path(folder) / path.stem
-        with path.open('rb') as source, expanded.open('wb') as file:
-            zstandard.ZstdDecompressor().copy_stream(source, file)
-        return expanded
+    def _opened(self, path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
+        """Open a file of the bag, or the folder of a bag that is compressed by message."""
+        if path.suffix == '.zstd':
+            folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
+            expanded = Path(folder) / path.stem
+            with path.open('rb') as source, expanded.open('wb') as file:
+                zstandard.ZstdDecompressor().copy_stream(source, file)
+            path = expanded
+        if path.suffix == '.mcap':
+            return McapFile(path)
+        log = path.with_name(f'{path.name}-wal')
+        if log.exists() and log.stat().st_size:
+            raise RecordingError(
+                f'{path.name} was not closed: its last messages are in {log.name}',
+                remedy=f"run: sqlite3 '{path}' 'PRAGMA wal_checkpoint(TRUNCATE)'",
+            )
+        reader = AnyReader([path]) if self.is_ros1 else Reader(path)
+        reader.open()
+        self._held.callback(reader.close)
+        return reader
 
     def _damaged(self, error: Exception) -> DamagedRecordingError:
-        remedy = 'copy it again, or try `mixtac repair`'
         if isinstance(error, RecordingError) and error.remedy:
             return DamagedRecordingError(f'{self.path}: {error.message}', remedy=error.remedy)
+        remedy = 'copy it again, or try `mixtac repair`'
         if self.is_ros1:
             remedy = 'copy it again, or run `rosbag reindex` of ROS 1'
-        elif sqlite := next(
-            iter([self.path] if self.path.suffix == '.db3' else self.path.glob('*.db3')), None
-        ):
-            remedy = f"copy it again, or run: sqlite3 '{sqlite}' .recover | sqlite3 recovered.db3"
+        elif databases := [p for p in (self.path, *self.path.glob('*.db3')) if p.suffix == '.db3']:
+            name = databases[0]
+            remedy = f"copy it again, or run: sqlite3 '{name}' .recover | sqlite3 recovered.db3"
         return DamagedRecordingError(
             f'{self.path} is damaged or not a bag ({reason(error)})', remedy=remedy
+        )
+
+
+_SIX = attrgetter('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z')
+
+
+class McapFile:
+    """An MCAP file, with the attributes and methods of a reader of rosbags that `BagFile` uses.
+
+    Messages of a chunk are in order of their reception. The index gives the number of messages;
+    without an index, the messages are counted once.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        connections: Its topics, with their numbers of messages.
+        message_count: Number of messages.
+        start_time: When the first one was received [ns, host clock of the recorder].
+        end_time: When the last one was received, and 1 ns.
+        notes: What is missing, by place; grows while messages are read.
+
+    Raises:
+        DamagedRecordingError: Nothing can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: dict[int, str] = {}
+        self._schemas: dict[int, Schema] = {}
+        try:
+            with path.open('rb') as file:
+                summary = SeekingReader(file).get_summary()
+        except Exception:  # noqa: BLE001  (the parser raises whatever damage leads it to)
+            summary = None
+        if summary and summary.statistics:
+            found, channels, self._schemas = summary.statistics, summary.channels, summary.schemas
+            counts = Counter(found.channel_message_counts)
+            self.start_time, self.end_time = found.message_start_time, found.message_end_time + 1
+        else:
+            channels, counts = self._count()
+        self.connections = [self._connection(each, counts[key]) for key, each in channels.items()]
+        self.message_count = sum(each.msgcount for each in self.connections)
+
+    def messages(
+        self, connections: Collection[Connection]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Yield topic, time received [ns] and CDR of the messages of some topics."""
+        wanted = {each.id: each for each in connections}
+        for record in self._records():
+            if isinstance(record, Message) and record.channel_id in wanted:
+                yield wanted[record.channel_id], record.log_time, record.data
+
+    def _count(self) -> tuple[dict[int, Channel], Counter[int]]:
+        """Read the whole file for what its index would say.
+
+        Raises:
+            DamagedRecordingError: Nothing can be read.
+        """
+        channels: dict[int, Channel] = {}
+        counts: Counter[int] = Counter()
+        times = []
+        for record in self._records():
+            if isinstance(record, Schema):
+                self._schemas.setdefault(record.id, record)
+            elif isinstance(record, Channel):
+                channels.setdefault(record.id, record)
+            elif isinstance(record, Message):
+                counts[record.channel_id] += 1
+                times.append(record.log_time)
+        if orphans := sum(counts[number] for number in counts.keys() - channels):
+            self.notes[-1] = f'{orphans} messages of {self.path.name} belong to no topic'
+        if not channels:
+            raise DamagedRecordingError('; '.join(self.notes.values()) or 'it holds no topics')
+        self.notes.setdefault(0, f'{self.path.name} was not closed')
+        self.start_time, self.end_time = min(times, default=0), max(times, default=-1) + 1
+        return channels, counts
+
+    def _records(self) -> Iterator[Any]:
+        """Yield schemas, channels and messages; note what is damaged."""
+        name, size, at = self.path.name, self.path.stat().st_size, 0
+        with self.path.open('rb') as file:
+            try:
+                for record in StreamReader(file, emit_chunks=True, record_size_limit=size).records:
+                    if isinstance(record, DataEnd):
+                        return
+                    yield from self._inside(record, at) if isinstance(record, Chunk) else (record,)
+                    at = file.tell()
+            except Exception as error:  # noqa: BLE001  (as above)
+                self.notes[at] = f'{name} ends or is damaged at byte {at} ({reason(error)})'
+
+    def _inside(self, chunk: Chunk, at: int) -> list[Any]:
+        """Return the records of a chunk: schemas and channels first, which have no time."""
+        try:
+            inside = breakup_chunk(chunk, validate_crc=True)
+        except Exception as error:  # noqa: BLE001  (as above)
+            self.notes[at] = f'{self.path.name} lacks a chunk at byte {at} ({reason(error)})'
+            return []
+        return sorted(inside, key=lambda each: getattr(each, 'log_time', -1))
+
+    def _connection(self, channel: Channel, count: int) -> Connection:
+        schema = self._schemas.get(channel.schema_id)
+        known = schema is not None and schema.encoding in {'ros2msg', 'ros2idl'}
+        text = schema.data.decode(errors='replace') if schema and known else ''
+        try:
+            profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
+        except Exception:  # noqa: BLE001  (as above)
+            profiles = []
+        return Connection(
+            channel.id,
+            channel.topic,
+            schema.name if schema else '',
+            MessageDefinition(Format.MSG, text),
+            channel.metadata.get('topic_type_hash', ''),
+            count,
+            ConnectionExtRosbag2(channel.message_encoding, profiles),
+            self,
         )
 
 
@@ -265,19 +365,11 @@ def is_storage(path: Path) -> bool:
     return name.suffix in BAG_SUFFIXES
 
 
-def _opened(path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
-    """Open a file of a bag, or the folder of a compressed one."""
-    if path.suffix == '.mcap':
-        return McapFile(path)
-    log = path.with_name(f'{path.name}-wal')
-    if log.exists() and log.stat().st_size:
-        raise RecordingError(
-            f'{path.name} was not closed: its last messages are in {log.name}',
-            remedy=f"run: sqlite3 '{path}' 'PRAGMA wal_checkpoint(TRUNCATE)'",
-        )
-    reader = AnyReader([path]) if path.suffix.lower() == ROS1_SUFFIX else Reader(path)
-    reader.open()
-    return reader
+def is_bag(path: Path) -> bool:
+    """Return whether a path is that of a bag: a folder with its files, or a file by its name."""
+    if path.is_dir():
+        return (path / 'metadata.yaml').exists() or any(map(is_storage, path.iterdir()))
+    return is_storage(path) or path.suffix.lower() == ROS1_SUFFIX
 
 
 def _facts(bag: Path) -> dict[str, Any]:
@@ -290,8 +382,7 @@ def _facts(bag: Path) -> dict[str, Any]:
 
 def custom_data(bag: Path) -> dict[str, str]:
     """Return what metadata.yaml says of a bag by keys of its writer; empty if it cannot be read."""
-    content = _facts(bag).get('custom_data')
-    return {str(key): str(value) for key, value in content.items()} if content else {}
+    return dict(_facts(bag).get('custom_data') or {})
 
 
 def fit_path(bag: Path) -> Path:
@@ -305,13 +396,9 @@ def check_new(bag: Path) -> None:
     Raises:
         RecordingError: The bag or a fit of its name exists.
     """
-    if bag.exists():
-        raise RecordingError(f'{bag} exists', remedy='name a new folder')
-    if fit_path(bag).exists():
-        raise RecordingError(
-            f'{fit_path(bag)} is the clock fit of an earlier bag',
-            remedy='remove it, or name a new folder',
-        )
+    for path in (bag, fit_path(bag)):
+        if path.exists():
+            raise RecordingError(f'{path} exists', remedy='remove it, or name a new folder')
 
 
 def find_bags(path: Path, depth: int = 3) -> list[Path]:
@@ -324,7 +411,7 @@ def find_bags(path: Path, depth: int = 3) -> list[Path]:
         path: Bag, or folder.
         depth: Levels of folders to look into; 0 takes only a bag itself.
     """
-    if path.is_file() or _holds_bag(path):
+    if path.is_file() or (path.is_dir() and is_bag(path)):
         return [path.resolve() if path.name in {'', '..'} else path]
     inside = sorted(path.iterdir()) if path.is_dir() and depth else ()
     folders = (each for each in inside if each.is_dir() and each.name[0] != '.')
@@ -332,19 +419,9 @@ def find_bags(path: Path, depth: int = 3) -> list[Path]:
 
 
 def distinct_names(bags: Iterable[Path]) -> dict[Path, str]:
-    """Return a name of each bag: its own, with the folders above where several share it."""
-    parts = {bag: bag.absolute().parts for bag in bags}
-    names = {bag: each[-1] for bag, each in parts.items()}
-    for depth in range(2, max(map(len, parts.values()), default=0)):
-        counts = Counter(names.values())
-        names = {
-            bag: '_'.join(parts[bag][-depth:]) if counts[name] > 1 else name
-            for bag, name in names.items()
-        }
-    return names
-
-
-def _holds_bag(folder: Path) -> bool:
-    return (folder / 'metadata.yaml').exists() or (
-        folder.is_dir() and any(map(is_storage, folder.iterdir()))
-    )
+    """Return a name of each bag: its own, or its path in their common folder if names repeat."""
+    paths = {bag: bag.absolute() for bag in bags}
+    if len({path.name for path in paths.values()}) == len(paths):
+        return {bag: path.name for bag, path in paths.items()}
+    common = os.path.commonpath([path.parent for path in paths.values()])
+    return {bag: '_'.join(path.relative_to(common).parts) for bag, path in paths.items()}

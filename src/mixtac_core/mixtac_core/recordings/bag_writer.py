@@ -8,22 +8,12 @@ import shutil
 import struct
 import threading
 import zlib
-from collections import deque
-from dataclasses import dataclass
+from collections import Counter, deque
 from pathlib import Path
 from types import MappingProxyType
 
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinitionFormat,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
@@ -80,116 +70,97 @@ class McapBag(Writer):
             type_name: For example `sensor_msgs/msg/Image`.
             latched: True for transient local, as `ros2 bag play` then offers it.
         """
+        zero = interfaces.QosTime(0, 0)
+        qos = interfaces.Qos(
+            history=interfaces.QosHistory.KEEP_LAST,
+            depth=1000,
+            reliability=interfaces.QosReliability.RELIABLE,
+            durability=interfaces.QosDurability.TRANSIENT_LOCAL
+            if latched
+            else interfaces.QosDurability.VOLATILE,
+            deadline=zero,
+            lifespan=zero,
+            liveliness=interfaces.QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=zero,
+            avoid_ros_namespace_conventions=False,
+        )
         return self.add_connection(
-            topic,
-            type_name,
-            typestore=typestore(),
-            offered_qos_profiles=(offered_qos(latched=latched),),
+            topic, type_name, typestore=typestore(), offered_qos_profiles=(qos,)
         )
 
-    def add_like(self, connection: Connection) -> Connection:
-        """Announce a topic of another bag and return the handle to write its messages with.
+    def add_topics_of(self, bag: BagFile, without: str = '') -> dict[str, Connection]:
+        """Announce the topics of another bag, and copy the custom data of its writer.
 
-        A type that nobody knows, and that the other bag does not define, is kept by its name. The
-        definition of a known type is that of this workspace where the other bag has none.
+        A definition that the other bag lacks is that of this workspace; without one, the type is
+        kept by its name.
 
         Args:
-            connection: The topic in the other bag.
+            bag: The other bag.
+            without: Topic to leave out.
+
+        Returns:
+            Handles to write messages with, by topic.
+
+        Raises:
+            RecordingError: The other bag is of ROS 1.
         """
-        definition, known = connection.msgdef.data, typestore()
-        if connection.msgtype in known.fielddefs:
-            if connection.msgdef.format is not MessageDefinitionFormat.MSG or not definition:
-                definition, _ = known.generate_msgdef(connection.msgtype, ros_version=2)
-            digest = known.hash_rihs01(connection.msgtype)
-        else:
-            digest = connection.digest or _NO_DIGEST
-        extension = connection.ext
-        assert isinstance(extension, ConnectionExtRosbag2)  # noqa: S101  (all bags are)
-        return self.add_connection(
-            connection.topic,
-            connection.msgtype,
-            msgdef=definition,
-            rihs01=digest,
-            serialization_format=extension.serialization_format,
-            offered_qos_profiles=extension.offered_qos_profiles,
-        )
+        if bag.is_ros1:
+            raise RecordingError(f'{bag.path} is a ROS 1 bag', remedy='run `mixtac import` on it')
+        self.custom_data.update(custom_data(bag.path))
+        handles: dict[str, Connection] = {}
+        for each in bag.connections:
+            if each.topic in {without, *handles}:
+                continue
+            definition, known = each.msgdef.data, typestore()
+            digest = each.digest or f'RIHS01_{0:064}'
+            if each.msgtype in known.fielddefs:
+                definition = definition or known.generate_msgdef(each.msgtype, ros_version=2)[0]
+                digest = known.hash_rihs01(each.msgtype)
+            handles[each.topic] = self.add_connection(
+                each.topic,
+                each.msgtype,
+                msgdef=definition,
+                rihs01=digest,
+                **each.ext._asdict(),
+            )
+        return handles
 
 
-_NO_DIGEST = f'RIHS01_{0:064}'
-
-
-@dataclass(frozen=True)
-class Repair:
-    """Result of a repair.
-
-    Attributes:
-        counts: Messages of the new bag, by topic.
-        damage: Missing parts of the old bag; empty if none are missing.
-    """
-
-    counts: dict[str, int]
-    damage: str
-
-
-def repair(path: Path, out: Path) -> Repair:
+def repair(path: Path, out: Path) -> tuple[Counter[str], str]:
     """Write the intact part of a bag to a new bag.
 
     Args:
         path: Folder, .mcap or .db3 file.
         out: New folder.
 
+    Returns:
+        Messages of the new bag by topic, and the missing parts of the old bag; empty if none.
+
     Raises:
         RecordingError: Nothing can be read, or the bag or a clock fit of its name exists.
         FileError: It cannot be written.
     """
     check_new(out)
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     with BagFile(path) as bag, new_folder(out) as made, McapBag(made) as writer:
-        if bag.is_ros1:
-            raise RecordingError(f'{path} is a ROS 1 bag', remedy='run `mixtac import` on it')
-        writer.custom_data.update(custom_data(path))
-        handles = {}
-        for connection in bag.connections:
-            if connection.topic not in handles:
-                handles[connection.topic] = writer.add_like(connection)
+        handles = writer.add_topics_of(bag)
         for topic, received_ns, data in bag.messages(*handles, raw=handles):
             writer.write(handles[topic], received_ns, data)
-            counts[topic] = counts.get(topic, 0) + 1
-        return Repair(counts, bag.damage)
-
-
-def offered_qos(*, latched: bool) -> Qos:
-    """Return the QoS profile to record for a topic, for `ros2 bag play`.
-
-    Args:
-        latched: True for transient local.
-    """
-    zero = QosTime(0, 0)
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1000,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-        zero,
-        zero,
-        QosLiveliness.AUTOMATIC,
-        zero,
-        avoid_ros_namespace_conventions=False,
-    )
+            counts[topic] += 1
+        return counts, bag.damage
 
 
 class BagWriter:
     """Takes messages without blocking and writes them in order.
 
     Messages that arrive when the queue is full are dropped and counted: a slow disk must not block
-    the subscriptions. When less than
-    `RESERVE` is left on the disk, nothing more is written, and the bag can be finished.
+    the subscriptions. When less than `RESERVE` is left on the disk, nothing more is written, and
+    the bag can be finished.
 
     Args:
         path: Folder of the new bag; must not exist.
 
     Attributes:
-        written: Messages written so far, by topic.
         dropped: Messages dropped because the disk was too slow, is full or has failed.
         failure: Why nothing more is written; empty while the disk works.
 
@@ -199,9 +170,7 @@ class BagWriter:
 
     def __init__(self, path: Path) -> None:
         check_new(path)
-        self.written: dict[str, int] = {}
-        self.dropped = 0
-        self.failure, self._broken, self._path = '', False, path
+        self.dropped, self.failure, self._broken, self._path = 0, '', False, path
         try:
             self._writer = McapBag(path)
             self._writer.open()
@@ -216,7 +185,6 @@ class BagWriter:
 
     def add_topic(self, topic: str, type_name: str, *, latched: bool) -> Connection:
         """Announce a topic and return the handle to write it with; see `McapBag.add_topic`."""
-        self.written[topic] = 0
         return self._writer.add_topic(topic, type_name, latched=latched)
 
     def write(self, connection: Connection, timestamp: int, data: bytes) -> None:
@@ -246,21 +214,18 @@ class BagWriter:
             )
 
     def _work(self) -> None:
-        while not self._closing.wait(FLUSH_PERIOD_S):
-            self._flush()
-        self._flush()
-
-    def _flush(self) -> None:
-        if not self.failure and shutil.disk_usage(self._path).free < RESERVE:
-            self.failure = f'less than {RESERVE >> 20} MiB are left on the disk'
-        while self._queue:
-            connection, received_ns, data = self._queue.popleft()
-            try:
-                if not self.failure:
-                    self._writer.write(connection, received_ns, data)
-                    self.written[connection.topic] += 1
-                    continue
-            except (OSError, WriterError) as error:
-                self.failure, self._broken = reason(error), True
-            # The thread keeps emptying the queue, so that close() does not block.
-            self.dropped += 1
+        closing = False
+        while not closing:
+            closing = self._closing.wait(FLUSH_PERIOD_S)
+            while self._queue:
+                if not self.failure and shutil.disk_usage(self._path).free < RESERVE:
+                    self.failure = f'less than {RESERVE >> 20} MiB are left on the disk'
+                message = self._queue.popleft()
+                try:
+                    if not self.failure:
+                        self._writer.write(*message)
+                        continue
+                except (OSError, WriterError) as error:
+                    self.failure, self._broken = reason(error), True
+                # The queue is emptied all the same, so that close() does not block.
+                self.dropped += 1

@@ -12,13 +12,13 @@ from typing import Any, Final
 import yaml
 
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.node.files import FileError, locked, read_data, structure, write_text
+from mixtac_core.node.files import locked, read_data, structure, write_text
 
 SPLITS: Final = ('train', 'test')
 
 
 class DatasetError(MixtacError):
-    """An invalid or unreadable description of a data set or of a trial."""
+    """A description of a data set that is missing, invalid or of something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,24 +43,14 @@ class TrialSpec:
     preset: str
     split: str
 
-    def __post_init__(self) -> None:
-        """Check the name and the split.
-
-        Raises:
-            DatasetError: The name cannot be that of a bag, or the split is unknown.
-        """
-        if not self.name.replace('_', '').replace('-', '').isalnum():
-            raise DatasetError(
-                f'trial name {self.name!r} is not allowed', remedy='use letters, digits, _ and -'
-            )
-        if self.split not in SPLITS:
-            raise DatasetError(f'unknown split {self.split!r}', remedy=f'use one of {SPLITS}')
-
 
 FILE_NAME: Final = 'dataset.yaml'
 SCHEMA: Final = 'mixtac-dataset'
+"""Schema of the file of a simulated data set."""
+RECORDINGS_SCHEMA: Final = 'mixtac-recordings'
+"""Schema of the file of recordings."""
 SCHEMA_VERSION: Final = 1
-_NOT_FIELDS: Final = {'schema', 'schema_version', 'simulated'}
+"""Version of both."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +95,7 @@ class DatasetDescription:
         fields = asdict(self)
         # The trials last: they fill most of the file.
         trials = list(fields.pop('trials'))
-        document = {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION, 'simulated': True}
-        document |= {**fields, 'trials': trials}
+        document = {**_head(SCHEMA), 'simulated': True, **fields, 'trials': trials}
         write_text(folder / FILE_NAME, yaml.safe_dump(document, sort_keys=False))
 
     @staticmethod
@@ -117,27 +106,33 @@ class DatasetDescription:
             folder: Folder of the data set.
 
         Raises:
-            DatasetError: It is missing, damaged, or of another schema.
+            FileError: It is missing or damaged.
+            DatasetError: It is of another schema.
         """
         path = folder / FILE_NAME
-        try:
-            document = read_data(path)
-            if not isinstance(document, dict) or document.get('schema') != SCHEMA:
-                raise DatasetError(f'{path} does not describe a Mixtac data set')
-            version = document.get('schema_version')
-            if version != SCHEMA_VERSION:
-                raise DatasetError(
-                    f'{path} has schema version {version}, not {SCHEMA_VERSION}',
-                    remedy='use the matching release, or generate the data set again',
-                )
-            known = {key: document[key] for key in document if key not in _NOT_FIELDS}
-            return structure(known, DatasetDescription, str(path))
-        except FileError as error:
-            raise DatasetError(str(error)) from error
+        document = _read(path, SCHEMA)
+        for key in (*_head(SCHEMA), 'simulated'):
+            document.pop(key, None)
+        return structure(document, DatasetDescription, str(path))
 
 
-RECORDINGS_SCHEMA = 'mixtac-recordings'
-RECORDINGS_VERSION = 1
+def _head(schema: str) -> dict[str, Any]:
+    return {'schema': schema, 'schema_version': SCHEMA_VERSION}
+
+
+def _read(path: Path, schema: str = '') -> dict[str, Any]:
+    """Return the content of a `dataset.yaml` with a list of trials; of any schema if none given."""
+    found = read_data(path)
+    document = dict(found) if isinstance(found, dict) else {}
+    if schema and document | _head(schema) != document:
+        raise DatasetError(
+            f'{path} is not of schema {schema}, version {SCHEMA_VERSION}',
+            remedy='use another folder, or the release that wrote it',
+        )
+    trials = document.get('trials')
+    if not isinstance(trials, list) or not all(isinstance(t, dict) and 'name' in t for t in trials):
+        raise DatasetError(f'{path} has no list of trials, each with its name', remedy='correct it')
+    return document
 
 
 def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split: str) -> Path:
@@ -172,21 +167,8 @@ def read_recordings(path: Path) -> dict[str, Any]:
         FileError: It is damaged.
     """
     if not path.exists():
-        return {'schema': RECORDINGS_SCHEMA, 'schema_version': RECORDINGS_VERSION, 'trials': []}
-    document = read_data(path)
-    known = isinstance(document, dict) and document.get('schema') == RECORDINGS_SCHEMA
-    if not known or document.get('schema_version') != RECORDINGS_VERSION:
-        raise DatasetError(
-            f'{path} does not describe recordings (schema {RECORDINGS_SCHEMA}, version '
-            f'{RECORDINGS_VERSION})',
-            remedy='record to another folder',
-        )
-    trials = document.get('trials')
-    if not isinstance(trials, list) or not all(isinstance(t, dict) and 'name' in t for t in trials):
-        raise DatasetError(
-            f'{path} has no list of trials, each with its name', remedy='record to another folder'
-        )
-    return dict(document)
+        return {**_head(RECORDINGS_SCHEMA), 'trials': []}
+    return _read(path, RECORDINGS_SCHEMA)
 
 
 def folder_facts(bag: Path) -> dict[str, Any]:
@@ -206,13 +188,9 @@ def described_trial(bag: Path) -> dict[str, Any]:
     """Return what the `dataset.yaml` beside a bag says of it; empty without a file or an entry.
 
     Raises:
-        DatasetError: The file cannot be read.
+        FileError: The file cannot be read.
+        DatasetError: It has no list of trials.
     """
     path = bag.parent / FILE_NAME
-    if not path.exists():
-        return {}
-    try:
-        trials = {each['name']: dict(each) for each in read_data(path)['trials']}
-    except (FileError, KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f'{path} cannot be read ({error})', remedy='correct the file') from error
-    return trials.get(bag.name, {})
+    trials = _read(path)['trials'] if path.exists() else []
+    return next((dict(trial) for trial in trials if trial['name'] == bag.name), {})

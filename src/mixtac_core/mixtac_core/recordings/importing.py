@@ -1,35 +1,142 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Make bags from CSV, NPZ, HDF5 or AEDAT4 files, with forces from a table.
+"""Make bags from CSV, NPZ, HDF5 or AEDAT files, with forces from a table.
 
-`mixtac_core.recordings.tables` reads the tables. Times are kept as they are: nothing is aligned.
+Messages are those of the live graph, written without rclpy: topics, types, QoS and packets are
+those of the driver. Times are kept as they are: nothing is aligned.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
+from mixtac_core.events.packets import PacketWriter
+from mixtac_core.events.readings import Edges, Frame, InertialSamples
+from mixtac_core.events.windows import Packetizer
+from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder
-from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
-from mixtac_core.recordings.bag import check_new
+from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH, Topic
+from mixtac_core.recordings import messages
+from mixtac_core.recordings.bag import blank_message, check_new, typestore
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.export import Counts
-from mixtac_core.recordings.recording import (
-    Piece,
-    Recording,
-    RecordingError,
-    Selection,
-    Wrenches,
-)
-from mixtac_core.recordings.stream_writer import StreamWriter
+from mixtac_core.recordings.recording import Recording, RecordingError, Selection
 from mixtac_core.recordings.table_recording import table_wrenches
 from mixtac_core.recordings.tables import TableOptions
+
+
+class StreamWriter:
+    """Writes one camera's stream to a bag; times are on its epoch-based clock [us].
+
+    Args:
+        bag: Where to write; the caller closes it.
+        size: Width and height of the event array.
+        color_filter: Colour filter of the camera, 0 for none.
+    """
+
+    def __init__(self, bag: McapBag, size: tuple[int, int], *, color_filter: int = 0) -> None:
+        self._bag, self._size, self._color_filter = bag, size, color_filter
+        self._packetizer, self._packets = Packetizer(), PacketWriter(topics.CAMERA_FRAME, size)
+        self._sequence = self._edges = 0
+        self._handles: dict[str, Any] = {}
+
+    def put(self, topic: Topic, received_ns: int, message: Any) -> None:  # noqa: ANN401
+        """Write a message.
+
+        Args:
+            topic: Its topic.
+            received_ns: Host time of its reception [ns since the Unix epoch].
+            message: The message of `blank_message`, or its bytes.
+        """
+        if topic.name not in self._handles:
+            name = topic.resolved(topics.DEFAULT_NAMESPACE)
+            self._handles[topic.name] = self._bag.add_topic(
+                name, topic.type_name, latched=topic.latched
+            )
+        data = message
+        if not isinstance(message, bytes):
+            data = bytes(typestore().serialize_cdr(message, topic.type_name))
+        self._bag.write(self._handles[topic.name], received_ns, data)
+
+    def events(self, events: Events, until_us: int, arrival_ns: int) -> None:
+        """Write events, sorted and not before earlier ones.
+
+        Args:
+            events: The events; may be none.
+            until_us: No later event is before this time.
+            arrival_ns: Host time of their arrival [ns since the Unix epoch].
+        """
+        for packet in self._packetizer.push(events, until_us, arrival_ns):
+            data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
+            self.put(topics.EVENTS, arrival_ns, data)
+            self._sequence += 1
+
+    def frame(self, frame: Frame, origin_us: int, received_ns: int) -> None:
+        """Write a frame, its size and its exposure.
+
+        Args:
+            frame: The frame; its times are relative to `origin_us`.
+            origin_us: See above [us since the Unix epoch].
+            received_ns: Host time of its reception [ns since the Unix epoch].
+        """
+        image = messages.image(
+            frame, origin_us, self._color_filter, topics.CAMERA_FRAME, blank_message
+        )
+        info = messages.camera_info(frame, self._size, image, blank_message)
+        exposure = messages.frame_exposure(frame, origin_us, image, blank_message)
+        self.put(topics.IMAGE_RAW, received_ns, image)
+        self.put(topics.CAMERA_INFO, received_ns, info)
+        self.put(topics.IMAGE_EXPOSURE, received_ns, exposure)
+
+    def samples(self, samples: InertialSamples, origin_us: int, received_ns: int) -> None:
+        """Write inertial samples, each after its temperature; arguments as in `frame`."""
+        for index in range(len(samples.t)):
+            celsius, t_us = float(samples.temperature[index]), int(samples.t[index]) + origin_us
+            if not math.isnan(celsius):
+                message = messages.temperature(celsius, t_us, topics.IMU_FRAME, blank_message)
+                self.put(topics.TEMPERATURE, received_ns, message)
+            message = messages.imu(samples, index, origin_us, topics.IMU_FRAME, blank_message)
+            self.put(topics.IMU, received_ns, message)
+
+    def edges(self, edges: Edges, origin_us: int, received_ns: int) -> None:
+        """Write edges of the synchronisation connector; arguments as in `frame`."""
+        for t_us, kind in zip(edges.t.tolist(), edges.kind.tolist(), strict=True):
+            message = messages.external_edge(
+                kind, t_us + origin_us, self._edges, topics.CAMERA_FRAME, blank_message
+            )
+            self.put(topics.EXTERNAL_EDGES, received_ns, message)
+            self._edges += 1
+
+    def wrench(
+        self,
+        topic: Topic,
+        stamp_ns: int,
+        values: NDArray[np.float64],
+        frame_id: str,
+        received_ns: int,
+    ) -> None:
+        """Write a wrench.
+
+        Args:
+            topic: `FORCE` or `REFERENCE_WRENCH`.
+            stamp_ns: Stamp on the clock of that topic [ns].
+            values: Force [N] and torque [N m], float64 [6].
+            frame_id: Frame of the force.
+            received_ns: Host time of its reception [ns since the Unix epoch].
+        """
+        message = blank_message(topic.type_name)
+        messages.set_header(message, stamp_ns, frame_id)
+        force, torque = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+        self.put(topic, received_ns, message)
 
 
 def import_recording(
@@ -64,70 +171,78 @@ def import_recording(
     options = options or TableOptions()
     check_new(out)
     with contextlib.closing(open_recording(path, selection, options)) as recording:
-        recorded = recording.wrenches().get(REFERENCE)
-        wrenches = table_wrenches(forces, options) if forces else recorded
+        recorded = recording.wrenches().get(REFERENCE, ())
+        parts = list(table_wrenches(forces, options) if forces else recorded)
+        if forces and not parts:
+            raise RecordingError(f'{forces} holds no forces', remedy='give a table with rows')
+        stamps_ns = np.concatenate([np.zeros(0, np.int64), *(stamps for stamps, _ in parts)])
+        values = np.concatenate([np.zeros((0, 6)), *(rows for _, rows in parts)])
         info = recording.info
         with new_folder(out) as folder, McapBag(folder) as bag:
             writer = StreamWriter(bag, (info.width, info.height), color_filter=info.color_filter)
-            counts = _write(recording, wrenches or iter(()), writer, same_clock=same_clock)
+            counts = _write(recording, stamps_ns, values, writer, same_clock=same_clock)
         counts.info = recording.info
-        counts.forces_replaced = forces is not None and recorded is not None
     return counts
 
 
 def _write(
-    recording: Recording, wrenches: Wrenches, writer: StreamWriter, *, same_clock: bool
+    recording: Recording,
+    stamps_ns: NDArray[np.int64],
+    values: NDArray[np.float64],
+    writer: StreamWriter,
+    *,
+    same_clock: bool,
 ) -> Counts:
     counts = Counts(recording.info, recording.counters)
-    waiting = (
-        (int(stamp), row)
-        for stamps, values in wrenches
-        for stamp, row in zip(stamps, values, strict=True)
-    )
-    following = next(waiting, None)
-    first = last = following
-    first_ns = None if same_clock or first is None else first[0]
+    # Of another clock only the time since the first sample can be compared.
+    origin_ns = 0 if same_clock or not len(stamps_ns) else int(stamps_ns[0])
+    due_ns = np.maximum.accumulate(stamps_ns) - origin_ns
     reached_us = start_us = latest_us = -1
+    written = received_ns = 0
+
+    def write_forces(until: int) -> None:
+        for row in range(written, until):
+            force_ns, due = int(stamps_ns[row]), min(max(int(due_ns[row]), 0), received_ns)
+            writer.wrench(REFERENCE_WRENCH, force_ns, values[row], REFERENCE_FRAME, due)
+
     for piece in recording.pieces():
-        piece.check()
         if start_us < 0:
             start_us = piece.start_us
-        if len(piece.events):
-            last_us = _checked_end(piece.events, latest_us)
-            counts.add_times(piece.events, latest_us)
-            latest_us = last_us
+            due_ns += 0 if same_clock else 1000 * start_us
         reached_us = max(reached_us, piece.until_us)
         received_ns = 1000 * reached_us
-        # Of another clock only the time since the first sample can be compared.
-        shift_ns = 0 if first_ns is None else first_ns - 1000 * start_us
-        while following is not None and following[0] - shift_ns <= received_ns:
-            _write_wrench(writer, counts, *following, following[0] - shift_ns)
-            last, following = following, next(waiting, None)
-        _write_piece(writer, piece, received_ns)
+        until = int(np.searchsorted(due_ns, received_ns, 'right'))
+        write_forces(until)
+        written = until
+        if len(piece.events):
+            latest_us = _checked_end(piece.events, latest_us)
+            writer.events(piece.events, piece.until_us, received_ns)
+        for frame in piece.frames:
+            writer.frame(frame, 0, received_ns)
+        writer.samples(piece.imu, 0, received_ns)
+        writer.edges(piece.edges, 0, received_ns)
         counts.add(piece)
     if start_us < 0:
         raise RecordingError('there is nothing to import: no events and no frames')
+    write_forces(len(stamps_ns))
+    if len(stamps_ns):
+        counts.wrenches[REFERENCE] = len(stamps_ns)
+        if same_clock:
+            _check_overlap(stamps_ns[[0, -1]] / 1e9, np.array([start_us, reached_us]) / 1e6)
     counts.length_us = reached_us - start_us
-    while following is not None:
-        _write_wrench(writer, counts, *following, 1000 * reached_us)
-        last, following = following, next(waiting, None)
-    if same_clock and first and last:
-        _check_overlap((first[0], last[0]), (1000 * start_us, 1000 * reached_us))
     # Closes the packet of the last millisecond.
     writer.events(Events.empty(), reached_us + 1000, 1000 * reached_us)
     return counts
 
 
-def _check_overlap(forces_ns: tuple[int, int], camera_ns: tuple[int, int]) -> None:
+def _check_overlap(forces_s: NDArray[np.float64], camera_s: NDArray[np.float64]) -> None:
     """Refuse forces on the clock of the camera that end before its data begin, or begin later.
 
     Raises:
         RecordingError: As above.
     """
-    if forces_ns[1] < camera_ns[0] or forces_ns[0] > camera_ns[1]:
-        forces, camera = (
-            f'{start / 1e9:.3f} to {end / 1e9:.3f} s' for start, end in (forces_ns, camera_ns)
-        )
+    if forces_s[1] < camera_s[0] or forces_s[0] > camera_s[1]:
+        forces, camera = (f'{start:.3f} to {end:.3f} s' for start, end in (forces_s, camera_s))
         raise RecordingError(
             f'forces of {forces} and camera data of {camera} are not of one clock',
             remedy='give the units of the times, or leave --same-clock out and align the bag',
@@ -140,31 +255,11 @@ def _checked_end(events: Events, latest_us: int) -> int:
     Raises:
         RecordingError: One is earlier than the one before.
     """
-    steps = np.diff(events.t, prepend=np.int64(max(latest_us, 0)))
-    if (steps < 0).any():
+    back = np.flatnonzero(np.diff(events.t, prepend=np.int64(max(latest_us, 0))) < 0)
+    if len(back):
         raise RecordingError(
-            f'events go back in time at {int(events.t[int(np.argmax(steps < 0))])} us',
+            f'events go back in time at {int(events.t[back[0]])} us',
             remedy='sort them by time (columns without headings are t, x, y, p), and cut a'
             ' recording where its clock was reset',
         )
     return int(events.t[-1])
-
-
-def _write_piece(writer: StreamWriter, piece: Piece, received_ns: int) -> None:
-    if len(piece.events):
-        writer.events(piece.events, piece.until_us, received_ns)
-    for frame in piece.frames:
-        writer.frame(frame, 0, received_ns)
-    writer.samples(piece.imu, 0, received_ns)
-    writer.edges(piece.edges, 0, received_ns)
-
-
-def _write_wrench(
-    writer: StreamWriter,
-    counts: Counts,
-    stamp_ns: int,
-    values: NDArray[np.float64],
-    received_ns: int,
-) -> None:
-    writer.wrench(REFERENCE_WRENCH, stamp_ns, values, REFERENCE_FRAME, max(received_ns, 0))
-    counts.wrenches[REFERENCE] = counts.wrenches.get(REFERENCE, 0) + 1

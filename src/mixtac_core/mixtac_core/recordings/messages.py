@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS messages of a camera from its readings, and readings from recorded messages.
 
-Messages are those of rclpy or of rosbags: functions that build a message have the argument `new`, a
-function that returns an empty message of a type: `ros_message` or
-`mixtac_core.recordings.bag.blank_message`. Stamps are on the camera clock, epoch-based, except the
-stamp of an event packet: its arrival on the host.
+Functions that build a message have the argument `new`, a function that returns an empty message of
+a type: `ros_message` or `mixtac_core.recordings.bag.blank_message`. Stamps are on the camera clock,
+epoch-based. Event packets are written by `mixtac_core.events.packets.PacketWriter`.
 """
 
 from __future__ import annotations
@@ -13,19 +12,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
-from mixtac_core.events.windows import Packet
 from mixtac_core.node import topics
-from mixtac_core.node.images import ImageConversionError, fill, pixels, set_octets
+from mixtac_core.node.images import ImageConversionError, fill, pixels
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings.recording import RecordingError
 
-New = Callable[[str], Any]
+Message: TypeAlias = Any
+"""A message of rclpy or rosbags."""
+New = Callable[[str], Message]
 
 
 BIT_SHIFT = 6
@@ -33,44 +33,20 @@ BIT_SHIFT = 6
 BAYER = {1: 'rggb', 2: 'grbg', 3: 'gbrg', 4: 'bggr'}
 """ROS names of the camera's colour filters, by their first two rows. Filters with white pixels,
 5 to 8, have no name: their frames are mono16."""
+EXPOSURE_TIMES = ('frame_start', 'exposure_start', 'exposure_end', 'frame_end')
+"""Fields of FrameExposure, and with `_us` attributes of `Frame`."""
 GLOBAL_SHUTTER = 0
-"""Value of FrameExposure.shutter."""
-ROLLING_SHUTTER = 1
-"""Value of FrameExposure.shutter."""
+"""Value of FrameExposure.shutter; 1 is the rolling shutter."""
 
 
-def ros_message(type_name: str) -> Any:  # noqa: ANN401
+def ros_message(type_name: str) -> Message:
     """Return an empty message of rclpy, for example of `sensor_msgs/msg/Image`."""
     return topics.message_class(type_name)()
 
 
-def event_packet(
-    packet: Packet, sequence: int, size: tuple[int, int], frame_id: str, new: New = ros_message
-) -> Any:  # noqa: ANN401
-    """Return the EventPacket of a packet; its stamp is the host time of arrival.
-
-    Args:
-        packet: The packet.
-        sequence: Number of the packet.
-        size: Width and height of the event array.
-        frame_id: Frame of the camera.
-        new: See module.
-    """
-    message = new(topics.EVENTS.type_name)
-    set_header(message, packet.arrival_ns, frame_id)
-    message.width, message.height = size
-    message.seq = sequence
-    encoded = packet.encode()
-    message.time_base = encoded.time_base
-    message.encoding = encoded.encoding
-    message.is_bigendian = False
-    set_octets(message, 'events', encoded.payload)
-    return message
-
-
 def image(
     frame: Frame, origin_us: int, color_filter: int, frame_id: str, new: New = ros_message
-) -> Any:  # noqa: ANN401
+) -> Message:
     """Return the Image of a frame; its stamp is the middle of the exposure.
 
     Args:
@@ -97,11 +73,9 @@ def ten_bits(image: NDArray[Any]) -> NDArray[np.uint16]:
     return np.asarray(np.right_shift(image, BIT_SHIFT, dtype=np.uint16))
 
 
-def image_header(frame: Frame, origin_us: int, frame_id: str, new: New = ros_message) -> Any:  # noqa: ANN401
+def image_header(frame: Frame, origin_us: int, frame_id: str, new: New = ros_message) -> Message:
     """Return the Image of a frame without its pixels, for messages that share its header."""
-    message = new(topics.IMAGE_RAW.type_name)
-    set_header(message, 1000 * (frame.middle_us + origin_us), frame_id)
-    return message
+    return _stamped(topics.IMAGE_RAW, 1000 * (frame.middle_us + origin_us), frame_id, new)
 
 
 def image_encoding(color_filter: int, x: int, y: int) -> str:
@@ -132,11 +106,8 @@ def _shifted(pattern: str, x: int, y: int) -> str:
 
 
 def camera_info(
-    frame: Frame,
-    size: tuple[int, int],
-    image_message: Any,  # noqa: ANN401
-    new: New = ros_message,
-) -> Any:  # noqa: ANN401
+    frame: Frame, size: tuple[int, int], image_message: Message, new: New = ros_message
+) -> Message:
     """Return the CameraInfo that goes with an image: sizes and region, no calibration.
 
     Args:
@@ -158,7 +129,7 @@ def camera_info(
 
 def imu(
     samples: InertialSamples, index: int, origin_us: int, frame_id: str, new: New = ros_message
-) -> Any:  # noqa: ANN401
+) -> Message:
     """Return the Imu of one inertial sample; values that were not measured are marked (REP-145).
 
     Args:
@@ -168,8 +139,7 @@ def imu(
         frame_id: Frame of the unit.
         new: See module.
     """
-    message = new(topics.IMU.type_name)
-    set_header(message, 1000 * (int(samples.t[index]) + origin_us), frame_id)
+    message = _stamped(topics.IMU, 1000 * (int(samples.t[index]) + origin_us), frame_id, new)
     message.orientation.w = 1.0
     message.orientation_covariance[0] = -1.0
     parts = (
@@ -185,7 +155,7 @@ def imu(
     return message
 
 
-def camera_clock(host_ns: int, camera_us: int, source: str, new: New = ros_message) -> Any:  # noqa: ANN401
+def camera_clock(host_ns: int, camera_us: int, source: str, new: New = ros_message) -> Message:
     """Return the TimeReference with the camera clock at a host time.
 
     Args:
@@ -194,19 +164,15 @@ def camera_clock(host_ns: int, camera_us: int, source: str, new: New = ros_messa
         source: Serial number of the camera.
         new: See module.
     """
-    message = new(topics.CAMERA_CLOCK.type_name)
-    set_header(message, host_ns, '')
+    message = _stamped(topics.CAMERA_CLOCK, host_ns, '', new)
     _set_time(message.time_ref, 1000 * camera_us)
     message.source = source
     return message
 
 
 def frame_exposure(
-    frame: Frame,
-    origin_us: int,
-    image_message: Any,  # noqa: ANN401
-    new: New = ros_message,
-) -> Any:  # noqa: ANN401
+    frame: Frame, origin_us: int, image_message: Message, new: New = ros_message
+) -> Message:
     """Return the FrameExposure of a frame, with the header of its image.
 
     Args:
@@ -217,17 +183,15 @@ def frame_exposure(
     """
     message = new(topics.IMAGE_EXPOSURE.type_name)
     message.header = image_message.header
-    _set_time(message.frame_start, 1000 * (frame.frame_start_us + origin_us))
-    _set_time(message.exposure_start, 1000 * (frame.exposure_start_us + origin_us))
-    _set_time(message.exposure_end, 1000 * (frame.exposure_end_us + origin_us))
-    _set_time(message.frame_end, 1000 * (frame.frame_end_us + origin_us))
-    message.shutter = GLOBAL_SHUTTER if frame.global_shutter else ROLLING_SHUTTER
+    for name in EXPOSURE_TIMES:
+        _set_time(getattr(message, name), 1000 * (getattr(frame, f'{name}_us') + origin_us))
+    message.shutter = GLOBAL_SHUTTER if frame.global_shutter else 1
     return message
 
 
 def external_edge(
     kind: int, time_us: int, sequence: int, frame_id: str, new: New = ros_message
-) -> Any:  # noqa: ANN401
+) -> Message:
     """Return the ExternalEdge of an edge at the synchronisation connector.
 
     Args:
@@ -237,14 +201,13 @@ def external_edge(
         frame_id: Frame of the camera.
         new: See module.
     """
-    message = new(topics.EXTERNAL_EDGES.type_name)
-    set_header(message, 1000 * time_us, frame_id)
+    message = _stamped(topics.EXTERNAL_EDGES, 1000 * time_us, frame_id, new)
     message.kind = kind
     message.seq = sequence
     return message
 
 
-def temperature(celsius: float, time_us: int, frame_id: str, new: New = ros_message) -> Any:  # noqa: ANN401
+def temperature(celsius: float, time_us: int, frame_id: str, new: New = ros_message) -> Message:
     """Return the Temperature of the inertial unit's die.
 
     Args:
@@ -253,30 +216,35 @@ def temperature(celsius: float, time_us: int, frame_id: str, new: New = ros_mess
         frame_id: Frame of the unit.
         new: See module.
     """
-    message = new(topics.TEMPERATURE.type_name)
-    set_header(message, 1000 * time_us, frame_id)
+    message = _stamped(topics.TEMPERATURE, 1000 * time_us, frame_id, new)
     message.temperature = celsius
     return message
 
 
-def set_header(message: Any, t_ns: int, frame_id: str) -> None:  # noqa: ANN401
+def _stamped(topic: topics.Topic, t_ns: int, frame_id: str, new: New) -> Message:
+    message = new(topic.type_name)
+    set_header(message, t_ns, frame_id)
+    return message
+
+
+def set_header(message: Message, t_ns: int, frame_id: str) -> None:
     """Write the stamp [ns] and the frame of a message's header."""
     _set_time(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
 
 
-def _set_time(stamp: Any, t_ns: int) -> None:  # noqa: ANN401
+def _set_time(stamp: Message, t_ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(int(t_ns), 1_000_000_000)
 
 
-def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Frame:  # noqa: ANN401
-    """Return the frame of an Image; all its times are its stamp, the middle of its exposure.
+def read_frame(message: Message, t_us: int, corner: tuple[int, int]) -> Frame:
+    """Return the frame of an Image; all its times are that of the middle of its exposure.
 
     Pixels become 10 bits, as the camera's converter has: the upper 10 of 16, or 8 and two zeros.
 
     Args:
         message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
+        t_us: Its time [us, recorded camera clock].
         corner: Column and row of the image's first pixel in the whole array.
 
     Raises:
@@ -284,24 +252,13 @@ def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Fram
     """
     check_image(message)
     try:
-        found = pixels(message)
+        image = ten_bits(pixels(message))
     except ImageConversionError as error:
         raise RecordingError(str(error)) from error
-    middle_us = stamp_to_us(message.header.stamp) - offset_us
-    return Frame(
-        image=ten_bits(found),
-        x=corner[0],
-        y=corner[1],
-        frame_start_us=middle_us,
-        exposure_start_us=middle_us,
-        exposure_end_us=middle_us,
-        frame_end_us=middle_us,
-        exposure_cycles=0,
-        global_shutter=True,
-    )
+    return Frame(image, *corner, t_us, t_us, t_us, t_us, 0, True)
 
 
-def exposed_frame(frame: Frame, message: Any, *, offset_us: int) -> Frame:  # noqa: ANN401
+def exposed_frame(frame: Frame, message: Message, offset_us: int) -> Frame:
     """Return a frame with the times of its FrameExposure message.
 
     Args:
@@ -309,52 +266,36 @@ def exposed_frame(frame: Frame, message: Any, *, offset_us: int) -> Frame:  # no
         message: The message.
         offset_us: Subtracted from its times to get the recorded camera clock.
     """
-
-    def time_us(name: str) -> int:
-        return stamp_to_us(getattr(message, name)) - offset_us
-
+    times: dict[str, Any] = {
+        f'{name}_us': stamp_to_us(getattr(message, name)) - offset_us for name in EXPOSURE_TIMES
+    }
     return replace(
         frame,
-        frame_start_us=time_us('frame_start'),
-        exposure_start_us=time_us('exposure_start'),
-        exposure_end_us=time_us('exposure_end'),
-        frame_end_us=time_us('frame_end'),
-        exposure_cycles=time_us('exposure_end') - time_us('exposure_start'),
+        **times,
+        exposure_cycles=times['exposure_end_us'] - times['exposure_start_us'],
         global_shutter=message.shutter == GLOBAL_SHUTTER,
     )
 
 
-def read_edges(message: Any, *, offset_us: int) -> Edges:  # noqa: ANN401
-    """Return the one edge of an ExternalEdge message.
-
-    Args:
-        message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
-    """
-    t = np.array([stamp_to_us(message.header.stamp) - offset_us], np.int64)
-    return Edges(t, np.array([message.kind], np.uint8))
+def read_edges(message: Message, t_us: int) -> Edges:
+    """Return the one edge of an ExternalEdge message, at a time [us, recorded camera clock]."""
+    return Edges(np.array([t_us], np.int64), np.array([message.kind], np.uint8))
 
 
-def read_samples(
-    message: Any,  # noqa: ANN401
-    *,
-    offset_us: int,
-    celsius: float = math.nan,
-) -> InertialSamples:
+def read_samples(message: Message, t_us: int, celsius: float = math.nan) -> InertialSamples:
     """Return the one sample of an Imu message; values marked as missing are NaN (REP-145).
 
     Args:
         message: The message.
-        offset_us: Subtracted from the stamp to get the recorded camera clock.
-        celsius: Temperature of the inertial unit at its stamp [degrees Celsius], NaN if unknown.
+        t_us: Its time [us, recorded camera clock].
+        celsius: Temperature of the inertial unit at that time [degrees Celsius], NaN if unknown.
     """
-    t = np.array([stamp_to_us(message.header.stamp) - offset_us], np.int64)
     acceleration = _vector(message.linear_acceleration, message.linear_acceleration_covariance)
     rotation = _vector(message.angular_velocity, message.angular_velocity_covariance)
-    return InertialSamples(t, acceleration, rotation, np.array([celsius]))
+    return InertialSamples(np.array([t_us], np.int64), acceleration, rotation, np.array([celsius]))
 
 
-def check_image(message: Any) -> None:  # noqa: ANN401
+def check_image(message: Message) -> None:
     """Check that an Image has one channel.
 
     Raises:
@@ -368,7 +309,7 @@ def check_image(message: Any) -> None:  # noqa: ANN401
         )
 
 
-def _vector(vector: Any, covariance: Any) -> NDArray[np.float64]:  # noqa: ANN401
+def _vector(vector: Message, covariance: Message) -> NDArray[np.float64]:
     if covariance[0] == -1:
         return np.full((1, 3), np.nan)
     return np.array([[vector.x, vector.y, vector.z]], np.float64)

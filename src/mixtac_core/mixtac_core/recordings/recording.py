@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of recordings: pieces of a camera's stream in recorded order.
 
-Readers of a format are in `camera_stream` (bags) and `aedat4` beside this module. The table
-`FORMATS` lists the known file formats.
+Readers of a format are in `camera_stream` (bags), `aedat` and `table_recording` beside this module.
+The table `FORMATS` lists the known file formats.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +40,12 @@ AEDAT4_FILE = f'recording{AEDAT4_SUFFIX}'
 """Name of the file that an export as AEDAT4 makes."""
 BAG_SUFFIXES = ('.mcap', '.db3')
 ROS1_SUFFIX = '.bag'
-
-
-AEDAT2_SUFFIX = '.aedat'
 HDF5_SUFFIXES = ('.h5', '.hdf5')
 NPZ_SUFFIX = '.npz'
 TEXT_SUFFIXES = ('.csv', '.txt')
 
 
-@dataclass(frozen=True, slots=True)
-class FileFormat:
+class FileFormat(NamedTuple):
     """A file format that people bring.
 
     Attributes:
@@ -66,34 +62,23 @@ class FileFormat:
 
 
 _EXPORT = 'export events as csv with columns t, x, y, p and run `mixtac import` on them'
-MCAP = FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', ('.mcap',))
-SQLITE = FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', ('.db3',))
-ROS1 = FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,))
+_METAVISION = f'with metavision_file_to_csv {_EXPORT}'
 AEDAT4 = FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,))
-AEDAT2 = FileFormat('AEDAT 2', b'#!AER-DAT2', (AEDAT2_SUFFIX,))
-HDF5 = FileFormat('HDF5', b'\x89HDF', HDF5_SUFFIXES)
-NPZ = FileFormat('NPZ', b'PK\x03\x04', (NPZ_SUFFIX,))
-TEXT = FileFormat('csv', b'', TEXT_SUFFIXES)
+AEDAT2 = FileFormat('AEDAT 2', b'#!AER-DAT2', ('.aedat',))
 FORMATS = (
-    MCAP,
-    SQLITE,
-    ROS1,
+    FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', BAG_SUFFIXES[:1]),
+    FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', BAG_SUFFIXES[1:]),
+    FileFormat('ROS 1 bag', b'#ROSBAG V2', (ROS1_SUFFIX,)),
     AEDAT4,
     AEDAT2,
-    HDF5,
-    NPZ,
-    TEXT,
-    FileFormat('AEDAT 3', b'#!AER-DAT3', (AEDAT2_SUFFIX,), f'open it in DV, {_EXPORT}'),
-    FileFormat(
-        'Prophesee DAT', b'% Data file', ('.dat',), f'with metavision_file_to_csv {_EXPORT}'
-    ),
-    FileFormat('Prophesee RAW', b'% ', ('.raw',), f'with metavision_file_to_csv {_EXPORT}'),
-    FileFormat(
-        'Event Stream', b'Event Stream', ('.es',), f'with the Python package loris {_EXPORT}'
-    ),
-    FileFormat(
-        'pointer of git-lfs', b'version https://git-lfs', (), 'run `git lfs pull` beside it'
-    ),
+    FileFormat('HDF5', b'\x89HDF', HDF5_SUFFIXES),
+    FileFormat('NPZ', b'PK\x03\x04', (NPZ_SUFFIX,)),
+    FileFormat('csv', b'', TEXT_SUFFIXES),
+    FileFormat('AEDAT 3', b'#!AER-DAT3', ('.aedat',), f'open it in DV, {_EXPORT}'),
+    FileFormat('Prophesee DAT', b'% Data file', ('.dat',), _METAVISION),
+    FileFormat('Prophesee RAW', b'% ', ('.raw',), _METAVISION),
+    FileFormat('Event Stream', b'Event Stream', ('.es',), f'with the package loris {_EXPORT}'),
+    FileFormat('pointer of git-lfs', b'version https://git-lfs', (), 'run `git lfs pull`'),
     FileFormat('zstd', b'\x28\xb5\x2f\xfd', ('.zst', '.zstd'), 'expand it with `zstd -d`'),
 )
 """File formats by name: those that are read, and others with what to do."""
@@ -106,9 +91,9 @@ def file_format(path: Path) -> FileFormat | None:
             begin = file.read(32)
     except OSError:
         begin = b''
-    found = (each for each in FORMATS if each.magic and begin.startswith(each.magic))
-    named = (each for each in FORMATS if path.suffix.lower() in each.suffixes)
-    return next(found, None) or next(named, None)
+    found = [each for each in FORMATS if each.magic and begin.startswith(each.magic)]
+    found += [each for each in FORMATS if path.suffix.lower() in each.suffixes]
+    return found[0] if found else None
 
 
 def not_a_recording(path: Path) -> RecordingError:
@@ -116,13 +101,9 @@ def not_a_recording(path: Path) -> RecordingError:
     known = file_format(path) if path.is_file() else None
     if known is None:
         what = 'folder without .mcap or .db3 files' if path.is_dir() else 'file of unknown format'
-        return RecordingError(
-            f'{path} is no recording: a {what}',
-            remedy='`mixtac inspect --formats` lists the formats that are read',
-        )
-    remedy = known.remedy or 'run `mixtac import` on it'
-    if not known.remedy and path.suffix.lower() not in known.suffixes:
-        remedy = f'name it {path.stem}{known.suffixes[0]}'
+        remedy = '`mixtac inspect --formats` lists the formats that are read'
+        return RecordingError(f'{path} is no recording: a {what}', remedy=remedy)
+    remedy = known.remedy or f'run `mixtac import` on it as {path.stem}{known.suffixes[0]}'
     return RecordingError(f'{path} is no bag but {known.name}', remedy=remedy)
 
 
@@ -159,12 +140,10 @@ class Piece:
         Raises:
             DamagedRecordingError: A time is negative or too large.
         """
-        times = [self.start_us, self.until_us]
-        if len(self.events):
-            times += [int(self.events.t.min()), int(self.events.t.max())]
-        if min(times) < 0 or max(times) > LATEST_US:
+        t = np.append(self.events.t, (self.start_us, self.until_us))
+        if t.min() < 0 or t.max() > LATEST_US:
             raise DamagedRecordingError(
-                f'a time of {min(times)} .. {max(times)} us is outside 0 .. {LATEST_US}'
+                f'a time of {t.min()} .. {t.max()} us is outside 0 .. {LATEST_US}'
             )
 
 
@@ -264,44 +243,32 @@ class Recording(Protocol):
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
     """Yield pieces without the data before a time.
 
-    Once a recorded clock was reset, everything counts as later. What was recorded before the first
-    packet of the new clock comes after it.
+    Once a recorded clock was reset, everything counts as later. What was recorded between the reset
+    and the first packet of the new clock is left out.
 
     Args:
         pieces: Pieces in recorded order.
         from_us: The time [us, recorded camera clock].
     """
-    skipping, latest_us = True, 0
-    held: list[Piece] = []
+    latest_us, reset = 0, False
     for piece in pieces:
         behind = piece.until_us < latest_us - RESTART_US
-        if not piece.advances:
-            if behind:
-                held.append(piece)
-            else:
-                yield from _from_time(piece, from_us, skipping=skipping)
+        if piece.advances:
+            reset |= behind
+            latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
+        elif behind:
             continue
-        skipping = skipping and piece.start_us < from_us and not behind
-        latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
-        for each in (piece, *held):
-            yield from _from_time(each, from_us, skipping=skipping)
-        held.clear()
-    for each in held:
-        yield from _from_time(each, from_us, skipping=skipping)
-
-
-def _from_time(piece: Piece, from_us: int, *, skipping: bool) -> Iterator[Piece]:
-    if not skipping or piece.start_us >= from_us:
-        yield piece
-    elif piece.until_us >= from_us:
-        yield replace(
-            piece,
-            start_us=from_us,
-            events=piece.events[piece.events.t >= from_us],
-            frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-            imu=piece.imu[piece.imu.t >= from_us],
-            edges=piece.edges[piece.edges.t >= from_us],
-        )
+        if reset or piece.start_us >= from_us:
+            yield piece
+        elif piece.until_us >= from_us:
+            yield replace(
+                piece,
+                start_us=from_us,
+                events=piece.events[piece.events.t >= from_us],
+                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+                imu=piece.imu[piece.imu.t >= from_us],
+                edges=piece.edges[piece.edges.t >= from_us],
+            )
 
 
 NONE = 'none'
@@ -342,21 +309,20 @@ def choose(
     """
     if wanted == NONE:
         return None
+    names = [name for name in found if wanted in ('', name)]
+    if len(names) > 1:
+        # What the driver publishes without lens distortion lies beside what it comes from.
+        names = [name for name in names if not name.endswith('_rect')] or names
+    if len(names) > 1 and beside:
+        space = f'{beside.rpartition("/")[0]}/'
+        names = [name for name in names if name.startswith(space)]
+        # Samples are a level below: imu/data_raw.
+        names = [name for name in names if name.count('/') == min(n.count('/') for n in names)]
+    if len(names) == 1 or not (found or wanted):
+        return names[0] if names else None
     remedy = (
         f'choose one of {", ".join(found)}, or none, with --{kind} of `mixtac export` or `import`'
         f' (playback_{kind}_topic of the driver)'
     )
-    if wanted and wanted not in found:
-        raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
-    if not wanted and len(found) > 1:
-        # What the driver publishes without lens distortion lies beside what it comes from.
-        found = [name for name in found if not name.endswith('_rect')] or found
-    if wanted or len(found) < 2:
-        return wanted or next(iter(found), None)
-    space = f'{beside.rpartition("/")[0]}/'
-    # Samples are a level below: imu/data_raw.
-    depths = {name: name.count('/') for name in found if beside and name.startswith(space)}
-    near = [name for name, depth in depths.items() if depth == min(depths.values())]
-    if len(near) == 1:
-        return near[0]
-    raise RecordingError(f'{path} has several {kind} topics', remedy=remedy)
+    what = f'no {kind} {wanted!r}' if wanted else f'several {kind} topics'
+    raise RecordingError(f'{path} has {what}', remedy=remedy if found else '')

@@ -1,12 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of events, frames, inertial samples and forces as a recording."""
+"""Files whose streams are read as rows of tables, as recordings; tables are checked.
+
+Rows are columns as an export names them, of `events`, `frames`, `imu` and `edges`.
+"""
 
 from __future__ import annotations
 
 import heapq
 import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +21,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node.topics import REFERENCE
+from mixtac_core.recordings.messages import ten_bits
 from mixtac_core.recordings.recording import (
     HDF5_SUFFIXES,
     Piece,
@@ -25,109 +31,148 @@ from mixtac_core.recordings.recording import (
     Selection,
     Wrenches,
 )
-from mixtac_core.recordings.tables import Rows, TableOptions, Tables, open_tables
-from mixtac_core.recordings.writers import AXES, TABLES, topic_file
+from mixtac_core.recordings.tables import (
+    AXES,
+    EVENT_COLUMNS,
+    TIME_UNITS,
+    TIMES,
+    Block,
+    Rows,
+    TableOptions,
+    find_tables,
+    topic_file,
+)
 
-PACKET_US = 10_000
-"""Longest stretch of a table in one piece [us]."""
+NEEDED: Final = {
+    'events': EVENT_COLUMNS,
+    'frames': ('exposure_start', 'exposure_end', 'image'),
+    'edges': ('t', 'kind'),
+}
+"""Columns that a table must have; others need `t`."""
+SLICE_US: Final = 1000
+"""Longest piece [us]: data of other streams are delayed by at most this much."""
+MOST_GREY: Final = 1023
 DAVIS346: Final = (346, 260)
+Streams = dict[str, Callable[[], Iterator[Rows]]]
+"""What reads each stream from its beginning, some rows at a time, by its name."""
 
 
-class TableRecording:
-    """Tables of a file or a folder as a recording.
+class FileRecording:
+    """A file, or a folder of files, with streams of rows.
 
     Args:
         path: The file or the folder.
-        tables: Its tables.
-        options: How to read them.
+        kind: Its format, as shown to users.
+        streams: Its streams; times in microseconds, frames of 10 bits.
+        size: Width and height of the camera.
+        camera: Name of the camera.
+        end_us: Time of the last reading [us], 0 if unknown.
+        size_known: False where the file does not state the size.
+        counters: Losses that the streams count.
+        forces: What reads the reference force; None if there is none.
 
     Attributes:
-        counters: Losses; there are none.
+        info: Its description.
+        counters: Losses found so far.
 
     Raises:
-        RecordingError: There are no tables of events or frames, or they cannot be read.
+        RecordingError: The streams cannot be read, or hold nothing.
     """
 
-    def __init__(self, path: Path, tables: Tables, options: TableOptions) -> None:
-        self.counters = ReadCounters()
-        self._path, self._tables, self._options = path, tables, options
-        if not tables.names & {'events', 'frames'}:
+    def __init__(
+        self,
+        path: Path,
+        kind: str,
+        streams: Streams,
+        size: tuple[int, int],
+        *,
+        camera: str = '',
+        end_us: int = 0,
+        size_known: bool = True,
+        counters: ReadCounters | None = None,
+        forces: Callable[[], Wrenches] | None = None,
+    ) -> None:
+        self.counters = counters or ReadCounters()
+        self._streams, self._forces = streams, forces
+        starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
+        if not starts:
             raise RecordingError(
-                f'{path} holds neither events nor frames, but'
-                f' {", ".join(sorted(tables.names)) or "nothing"}',
+                f'{path} holds nothing: no events and no frames',
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
-        self._frame_size: tuple[int, int] | None = None
-        first = next(self.pieces(), None)
-        if first is None:
-            raise RecordingError(f'{path} holds nothing: no events and no frames')
-        self._start_us = first.start_us
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Description; the length is not known."""
-        width, height = self._size() or DAVIS346
-        return RecordingInfo(
-            path=self._path,
-            kind='tables',
-            camera='',
-            width=width,
-            height=height,
+        self.info = RecordingInfo(
+            path=path,
+            kind=kind,
+            camera=camera,
+            width=size[0],
+            height=size[1],
             color_filter=0,
-            start_us=self._start_us,
-            length_us=0,
-            contents=tuple((name, name) for name in TABLES if name in self._tables.names),
-            size_known=self._size() is not None,
+            start_us=min(starts),
+            length_us=max(end_us - min(starts), 0),
+            contents=tuple((name, name) for name in streams),
+            size_known=size_known,
         )
 
     def pieces(self) -> Generator[Piece, None, None]:
-        """Yield the rows of all tables, merged by time.
+        """Yield what was recorded, merged by time, without events outside of the camera.
 
         Raises:
-            RecordingError: A table cannot be read, or events lie outside of the camera.
+            RecordingError: The file is damaged.
         """
-        unit, names = self._options.time_unit, self._tables.names
-        parts = [
-            _cut(self._tables.rows(name, unit), 't', make)
-            for name, make in (('imu', _samples), ('edges', _edges), ('events', self._events))
-            if name in names
-        ]
-        if 'frames' in names:
-            for rows in itertools.islice(self._tables.rows('frames', unit), 1):
-                self._frame_size = rows['image'].shape[:0:-1]
-            parts.append(_cut(self._tables.rows('frames', unit), 'exposure_end', _frames, one=True))
-        yield from heapq.merge(*parts, key=lambda piece: piece.until_us)
+        for piece in heapq.merge(*self._parts(), key=lambda piece: piece.until_us):
+            piece.check()
+            events, width, height = piece.events, self.info.width, self.info.height
+            inside = (events.x < width) & (events.y < height)
+            self.counters.events_outside += int(np.count_nonzero(~inside))
+            yield piece if inside.all() else replace(piece, events=events[inside])
 
     def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return the reference force, if there is such a table."""
-        name = topic_file(REFERENCE)
-        if name not in self._tables.names:
-            return {}
-        return {REFERENCE: _force_rows(self._tables, name, self._options)}
+        """Return the reference force, if it is recorded."""
+        return {REFERENCE: self._forces()} if self._forces else {}
 
     def close(self) -> None:
-        """Close the files."""
-        self._tables.close()
+        """Close nothing: a file is open while its rows are read."""
 
-    def _size(self) -> tuple[int, int] | None:
-        """Return width and height: as given, those of the first frame, or as a table states."""
-        return self._options.size or self._frame_size or self._tables.size
+    def _parts(self) -> list[Iterator[Piece]]:
+        # Frames set the pace if there are no events.
+        return [
+            _cut(read(), name, advances=name == 'events' or 'events' not in self._streams)
+            for name, read in self._streams.items()
+        ]
 
-    def _events(self, rows: Rows) -> dict[str, Any]:
-        x, y, size = rows['x'], rows['y'], self._size() or DAVIS346
-        if min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]:
-            raise RecordingError(
-                f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
-                f' outside of {size[0]} x {size[1]} pixels',
-                remedy='give the size of the camera with --size',
-            )
-        columns = (x.astype(np.uint16), y.astype(np.uint16), rows['polarity'])
-        return {'events': Events(rows['t'], *columns)}
+
+def _cut(stream: Iterator[Rows], name: str, *, advances: bool) -> Iterator[Piece]:
+    """Yield the readings of a stream in pieces of at most `SLICE_US`, or of one frame."""
+    for rows in stream:
+        t = rows['exposure_end' if name == 'frames' else 't']
+        steps = np.ones(len(t) - 1) if name == 'frames' else np.diff(t // SLICE_US)
+        for start, end in itertools.pairwise([0, *(np.flatnonzero(steps) + 1).tolist(), len(t)]):
+            part = {key: column[start:end] for key, column in rows.items()}
+            yield Piece(int(t[start]), int(t[end - 1]), advances, **_readings(name, part))
+
+
+def _readings(name: str, rows: Rows) -> dict[str, Any]:
+    """Return the readings of rows, by the attribute of a piece; frames are one row."""
+    if name == 'events':
+        x, y = (rows[key].astype(np.uint16) for key in 'xy')
+        return {'events': Events(rows['t'], x, y, rows['polarity'])}
+    if name == 'edges':
+        return {'edges': Edges(rows['t'], rows['kind'].astype(np.uint8))}
+    if name == 'imu':
+        acceleration, rotation = (
+            _vector(rows, key, np.nan) for key in ('acceleration', 'angular_velocity')
+        )
+        temperature = rows.get('temperature', np.full(len(rows['t']), np.nan)).astype(np.float64)
+        return {'imu': InertialSamples(rows['t'], acceleration, rotation, temperature)}
+    start, end = int(rows['exposure_start'][0]), int(rows['exposure_end'][0])
+    column, row = (int(value) for value in rows['origin'][0])
+    image = np.ascontiguousarray(rows['image'][0])
+    return {'frames': (Frame(image, column, row, start, start, end, end, end - start, True),)}
 
 
 def open_table_recording(
     path: Path, selection: Selection, options: TableOptions
-) -> TableRecording | None:
+) -> FileRecording | None:
     """Open tables as a recording; None where a path holds none.
 
     Args:
@@ -139,53 +184,27 @@ def open_table_recording(
         RecordingError: They cannot be read, or there is nothing to choose.
     """
     is_hdf5 = path.suffix.lower() in HDF5_SUFFIXES
-    tables = open_tables(path, group=selection.events if is_hdf5 else '')
-    if tables is None:
+    tables = find_tables(path, group=selection.events if is_hdf5 else '')
+    if not tables:
         return None
     if selection != Selection() and not is_hdf5:
         raise RecordingError(
             f'{path} holds tables: there is nothing to choose',
             remedy='leave out --events, --image and --imu',
         )
-    try:
-        return TableRecording(path, tables, options)
-    except RecordingError:
-        tables.close()
-        raise
-
-
-def _cut(
-    tables: Iterator[Rows], key: str, make: Callable[[Rows], dict[str, Any]], *, one: bool = False
-) -> Iterator[Piece]:
-    """Yield pieces of at most `PACKET_US`, or of one row, that `make` fills."""
-    for rows in tables:
-        t = rows[key]
-        changes = np.arange(1, len(t)) if one else np.flatnonzero(np.diff(t // PACKET_US)) + 1
-        for start, end in itertools.pairwise([0, *changes.tolist(), len(t)]):
-            part = {name: column[start:end] for name, column in rows.items()}
-            first, last = int(part[key][0]), int(part[key][-1])
-            yield Piece(first, last, advances='polarity' in part, **make(part))
-
-
-def _samples(rows: Rows) -> dict[str, Any]:
-    count = len(rows['t'])
-    temperature = rows.get('temperature', np.full(count, np.nan))
-    acceleration, rotation = (
-        _vector(rows, name, count) for name in ('acceleration', 'angular_velocity')
-    )
-    samples = InertialSamples(rows['t'], acceleration, rotation, temperature.astype(np.float64))
-    return {'imu': samples}
-
-
-def _edges(rows: Rows) -> dict[str, Any]:
-    return {'edges': Edges(rows['t'], rows['kind'].astype(np.uint8))}
-
-
-def _frames(rows: Rows) -> dict[str, Any]:
-    start, end = int(rows['exposure_start'][0]), int(rows['exposure_end'][0])
-    x, y = (int(value) for value in rows['origin'][0])
-    image = np.ascontiguousarray(rows['image'][0])
-    return {'frames': (Frame(image, x, y, start, start, end, end, end - start, True),)}
+    known, unit = options.size, options.time_unit
+    if known is None and 'frames' in tables:
+        for rows in itertools.islice(_checked_rows(path, 'frames', tables['frames'], unit), 1):
+            known = rows['image'].shape[2], rows['image'].shape[1]
+    size = known or DAVIS346
+    streams: Streams = {
+        name: partial(_checked_rows, path, name, tables[name], unit, size=size)
+        for name in ('imu', 'edges', 'events', 'frames')
+        if name in tables
+    }
+    name, unit = topic_file(REFERENCE), options.force_unit
+    forces = partial(_force_rows, path, name, tables[name], unit) if name in tables else None
+    return FileRecording(path, 'tables', streams, size, size_known=bool(known), forces=forces)
 
 
 def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
@@ -196,42 +215,152 @@ def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
         options: How to read it.
 
     Raises:
-        RecordingError: It cannot be read, or holds no forces.
+        RecordingError: It is no table.
     """
-    path, remedy = path.expanduser(), 'give a .csv or .npz file'
-    if not path.exists():
-        raise RecordingError(f'no table of forces at {path}', remedy=remedy)
-    tables = open_tables(path, 'forces')
-    if tables is None or len(tables.names) != 1:
-        raise RecordingError(f'{path} is no table of forces', remedy=remedy)
-    rows = _force_rows(tables, next(iter(tables.names)), options)
-    first = next(rows, None)
-    if first is None:
-        raise RecordingError(f'{path} holds no forces', remedy='give a table with rows')
-    return itertools.chain([first], rows)
+    path = path.expanduser()
+    tables = find_tables(path, 'forces')
+    if len(tables) != 1:
+        raise RecordingError(f'no table of forces at {path}', remedy='give a .csv or .npz file')
+    return _force_rows(path, 'forces', next(iter(tables.values())), options.force_unit)
 
 
-def _force_rows(tables: Tables, name: str, options: TableOptions) -> Wrenches:
+def _force_rows(path: Path, name: str, read: Callable[[], Iterator[Block]], unit: str) -> Wrenches:
     """Yield the forces of a table: stamps [ns], [n], and forces and torques [N, N m], [n, 6]."""
-    for rows in tables.rows(name, options.force_unit, 's', wanted_ns=1):
-        count = len(rows['t'])
-        values = np.hstack([_vector(rows, kind, count) for kind in ('force', 'torque')])
+    for rows in _checked_rows(path, name, read, unit or 's', wanted_ns=1):
+        values = np.hstack([_vector(rows, kind, 0.0) for kind in ('force', 'torque')])
         known = np.isfinite(values).all(axis=1)
-        if not known.all():
+        if not known.all() or not {'force', 'force_z'} & rows.keys():
             raise RecordingError(
-                f'{tables.path}: row {int(np.argmin(known)) + 1} has no finite normal force; found'
+                f'{path}: row {int(np.argmin(known)) + 1} has no finite normal force; found'
                 f' columns {", ".join(rows)}',
                 remedy='name the normal force force_z or fz, and remove rows without a number',
             )
         yield rows['t'], values
 
 
-def _vector(rows: Rows, name: str, count: int) -> NDArray[np.float64]:
-    """Return a vector per row [n, 3]; components of a force that are missing are 0, its z NaN."""
+def _vector(rows: Rows, name: str, missing: float) -> NDArray[np.float64]:
+    """Return a vector per row [n, 3] of one column or three; `missing` for columns that lack."""
     if name in rows and rows[name].ndim == 2:
         return rows[name].astype(np.float64)
-    absent = np.zeros(count) if name in {'force', 'torque'} else np.full(count, np.nan)
+    absent = np.full(len(rows['t']), missing)
     columns = [rows.get(f'{name}_{axis}', absent) for axis in AXES]
-    if name == 'force' and 'force_z' not in rows:
-        columns[2] = np.full(count, np.nan)
     return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _checked_rows(
+    path: Path,
+    name: str,
+    read: Callable[[], Iterator[Block]],
+    unit: str,
+    *,
+    size: tuple[int, int] = DAVIS346,
+    wanted_ns: int = 1000,
+) -> Iterator[Rows]:
+    """Yield the columns of a table, some rows at a time; frames are of 10 bits.
+
+    Args:
+        path: As shown in errors.
+        name: The table.
+        read: What reads it.
+        unit: Unit of its times where the file states none; empty for whole microseconds.
+        size: Width and height of the camera.
+        wanted_ns: Unit of the times that are returned [ns].
+
+    Raises:
+        RecordingError: It cannot be read, columns or numbers are missing, or the times have
+            another unit.
+    """
+    first = 1
+    for block in read():
+        rows = _needed_rows(path, name, block, first)
+        count, given = len(rows[next(iter(rows))]), block.unit or unit
+        first += count
+        times = rows.keys() & set(TIMES)
+        for key in (*('xy' if name == 'events' else ''), *(() if given else times)):
+            fractions = rows[key] % 1 != 0
+            if fractions.any():
+                wanted = (
+                    'pixels, without rectification' if key in 'xy' else 'their unit: --time-unit s'
+                )
+                raise RecordingError(
+                    f'{path}: {name} has {key} = {rows[key][fractions][0]}, no whole number',
+                    remedy=f'give {wanted}',
+                )
+        for key in times:
+            rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
+        if name == 'events':
+            _check_events(path, rows, size)
+            rows['polarity'] = rows['polarity'] > 0
+        if name == 'frames':
+            rows['image'] = _grey(path, rows['image'])
+            rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
+        if count:
+            yield rows
+
+
+def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
+    """Return rows whose needed columns hold finite numbers; `first` is the number of the first."""
+    rows, needed = block.rows, NEEDED.get(name, ('t',))
+    if name == 'frames' and 't' in rows:
+        rows['exposure_start'] = rows['exposure_end'] = rows['t']
+    if missing := [each for each in needed if each not in rows]:
+        raise RecordingError(
+            f'{path}: {name} has no column {missing[0]}; found: {block.headings}',
+            remedy=f'name the columns {", ".join(needed)}',
+        )
+    for key in needed:
+        column, dimensions = rows[key], 3 if key == 'image' else 1
+        if column.ndim != dimensions or column.dtype.kind not in 'biuf':
+            raise RecordingError(
+                f'{path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
+                remedy=f'store numbers in {dimensions} dimensions',
+            )
+        finite = np.isfinite(column)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise RecordingError(
+                f'{path}: {name} has {key} = {column[row]} in row {first + row}',
+                remedy='write a finite number, or remove the row',
+            )
+    return rows
+
+
+def _scaled(place: str, t: NDArray[Any], unit: str, wanted_ns: int) -> NDArray[np.int64]:
+    """Return times in the wanted unit; those with fractions are rounded."""
+    unit_ns = TIME_UNITS[unit]
+    if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
+        raise RecordingError(
+            f'{place} has times of {t.min()} to {t.max()} {unit}, which no stamp of ROS holds',
+            remedy='give the unit of the times with --time-unit or --force-unit',
+        )
+    if t.dtype.kind == 'f':
+        return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
+    return t.astype(np.int64) * unit_ns // wanted_ns
+
+
+def _check_events(path: Path, rows: Rows, size: tuple[int, int]) -> None:
+    x, y, values = rows['x'], rows['y'], np.unique(rows['polarity']).tolist()
+    if not (set(values) <= {0, 1} or set(values) <= {-1, 1}):
+        raise RecordingError(
+            f'{path}: polarity has the values {", ".join(map(str, values[:5]))}',
+            remedy='write 0 and 1, -1 and 1, or true and false',
+        )
+    if len(x) and (min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]):
+        raise RecordingError(
+            f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
+            f' outside of {size[0]} x {size[1]} pixels',
+            remedy='give the size of the camera with --size',
+        )
+
+
+def _grey(path: Path, image: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return grey values of 0 .. 1023; 8 bits become the upper ones."""
+    if image.dtype == np.uint8:
+        return ten_bits(image)
+    darkest, brightest = image.min(initial=0), image.max(initial=0)
+    if image.dtype.kind not in 'iu' or darkest < 0 or brightest > MOST_GREY:
+        raise RecordingError(
+            f'{path}: frames are {image.dtype} of {darkest} to {brightest}',
+            remedy=f'store them as uint8, or as integers of 0 to {MOST_GREY}',
+        )
+    return image.astype(np.uint16)

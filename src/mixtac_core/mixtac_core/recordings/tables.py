@@ -3,19 +3,20 @@
 """Tables of events, frames, inertial samples and forces in CSV, NPZ and HDF5 files.
 
 Columns have documented names (`COLUMNS`). CSV files are separated by commas, or by white space if
-their lines contain no comma; lines that begin with `#` are comments, and a first line of two
-integers before lines of four columns is the size of the camera. HDF5 files may have the layout of
-the DSEC data set (`events/p, x, y, t` and `t_offset`); events may be one array of four columns.
+their first line contains no comma; lines that begin with `#` are comments. HDF5 files may have the
+layout of the DSEC data set (`events/p, x, y, t` and `t_offset`, https://dsec.ifi.uzh.ch/data-format/);
+events may be one array of four columns.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import importlib
 import itertools
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,8 +34,33 @@ from mixtac_core.recordings.recording import (
     RecordingError,
     reason,
 )
-from mixtac_core.recordings.writers import AXES, UNITS, open_hdf5
 
+HDF5_FILE: Final = 'recording.h5'
+"""Name of the file that an export as HDF5 makes."""
+TABLES: Final = ('events', 'frames', 'imu', 'edges')
+"""Tables of the camera; others hold forces."""
+AXES: Final = 'xyz'
+"""Names of the columns of a vector in CSV, after the name of the vector and `_`."""
+CAMERA_TIME: Final = 'us, camera clock'
+TOPIC_TIME: Final = 'ns, clock of the topic'
+UNITS: Final = {
+    't': CAMERA_TIME,
+    'exposure_start': CAMERA_TIME,
+    'exposure_end': CAMERA_TIME,
+    'x': 'px',
+    'y': 'px',
+    'polarity': '1 = brighter',
+    'p': '1 = brighter',
+    'image': '0 .. 1023',
+    'origin': 'px',
+    'acceleration': 'm/s^2',
+    'angular_velocity': 'rad/s',
+    'temperature': 'degC',
+    'kind': '2 falling, 3 rising, 4 pulse, 16 and 17 generator',
+    'force': 'N',
+    'torque': 'N m',
+}
+"""Units of the columns; the times of force topics are in `TOPIC_TIME`."""
 TIME_UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
 """Units of time [ns]."""
 TIMES: Final = ('t', 'exposure_start', 'exposure_end')
@@ -46,33 +72,20 @@ COLUMNS: Final = {
     **{f't{axis}': f'torque_{axis}' for axis in AXES},
 }
 """Short names of columns, and those of event_cnn files, and what they mean."""
-NEEDED: Final = {
-    'events': ('t', 'x', 'y', 'polarity'),
-    'frames': ('exposure_start', 'exposure_end', 'image'),
-    'edges': ('t', 'kind'),
-}
-"""Columns that a table must have; others need `t`."""
+EVENT_COLUMNS: Final = ('t', 'x', 'y', 'polarity')
 UNNAMED: Final = {
     2: ('t', 'force_z'),
-    4: ('t', 'x', 'y', 'polarity'),
+    4: EVENT_COLUMNS,
     7: ('t', *(f'{name}_{axis}' for name in ('force', 'torque') for axis in AXES)),
 }
 """Columns of a CSV file without headings, by their number."""
-ORDERS: Final = (
-    ('t', 'x', 'y', 'polarity'),
-    ('x', 'y', 't', 'polarity'),
-    ('x', 'y', 'polarity', 't'),
-)
+ORDERS: Final = (EVENT_COLUMNS, ('x', 'y', 't', 'polarity'), ('x', 'y', 'polarity', 't'))
 """Columns of an array without names: the one that grows is the time."""
 ROWS: Final = 100_000
 """Rows that are read at once."""
 FRAME_ROWS: Final = 10
 """Frames that are read at once."""
-MOST_GREY: Final = 1023
 Rows = dict[str, NDArray[Any]]
-
-
-DAVIS346: Final = (346, 260)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,149 +123,52 @@ class Block(NamedTuple):
         rows: Columns by name.
         headings: All headings of the file, for messages.
         unit: Unit of times that the file states; empty for none.
-        size: Width and height of the camera that the file states; None for none.
     """
 
     rows: Rows
     headings: str
-    unit: str = ''
-    size: tuple[int, int] | None = None
+    unit: str
 
 
-class Tables:
-    """Tables of a file or a folder: rows in the order in which they are stored.
+Tables = dict[str, Callable[[], Iterator[Block]]]
+"""What reads each table of a file or a folder, by the name of the table."""
 
-    Args:
-        path: As shown in errors.
-        blocks: What reads each table, by its name.
-        close: Closes the files.
 
-    Attributes:
-        path: As given.
-        names: Names of the tables.
-        size: Width and height of the camera, known when a table that states it is read.
+def topic_file(topic: str) -> str:
+    """Return the name under which a topic is exported."""
+    return topic.strip('/').replace('/', '_')
+
+
+def optional_module(name: str, remedy: str) -> Any:  # noqa: ANN401
+    """Return a module of a package that only some formats need.
+
+    Raises:
+        RecordingError: It is not installed.
     """
-
-    size: tuple[int, int] | None = None
-
-    def __init__(
-        self,
-        path: Path,
-        blocks: dict[str, Callable[[], Iterator[Block]]],
-        close: Callable[[], None] = lambda: None,
-    ) -> None:
-        self.path, self.names, self.close = path, set(blocks), close
-        self._blocks = blocks
-
-    def rows(
-        self, name: str, unit: str, default: str = 'us', wanted_ns: int = 1000
-    ) -> Iterator[Rows]:
-        """Yield the columns of a table, some rows at a time; frames are of 10 bits.
-
-        Args:
-            name: The table.
-            unit: Unit of its times where the file states none; empty for `default`.
-            default: Unit where nothing else gives it; times must be whole numbers then, unless it
-                is longer than the wanted one.
-            wanted_ns: Unit of the times that are returned [ns].
-
-        Raises:
-            RecordingError: It cannot be read, columns or numbers are missing, or the times have
-                another unit.
-        """
-        needed = NEEDED.get(name, ('t',))
-        for rows, headings, stated, size in self._blocks[name]():
-            self.size = size or self.size
-            if name == 'frames' and 't' in rows:
-                rows['exposure_start'] = rows['exposure_end'] = rows['t']
-            if missing := [each for each in needed if each not in rows]:
-                raise RecordingError(
-                    f'{self.path}: {name} has no column {missing[0]}; found: {headings}',
-                    remedy=f'name the columns {", ".join(needed)}',
-                )
-            for key in needed:
-                self._check_numbers(name, key, rows[key])
-            for key in set(TIMES).intersection(rows):
-                rows[key] = self._scaled(name, rows[key], stated or unit, default, wanted_ns)
-            if name == 'events':
-                rows['polarity'] = self._polarity(rows['polarity'])
-            if name == 'frames':
-                rows['image'] = self._ten_bits(rows['image'])
-                rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
-            if len(rows[needed[0]]):
-                yield rows
-
-    def _check_numbers(self, name: str, key: str, column: NDArray[Any]) -> None:
-        dimensions = 3 if key == 'image' else 1
-        if column.ndim != dimensions or column.dtype.kind not in 'biuf':
-            raise RecordingError(
-                f'{self.path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
-                remedy=f'store numbers in {dimensions} dimensions',
-            )
-        if column.dtype.kind == 'f' and not (finite := np.isfinite(column)).all():
-            row = int(np.argmin(finite)) + 1
-            raise RecordingError(
-                f'{self.path}: {name} has {key} = {column[row - 1]} in row {row}',
-                remedy='remove the rows without a number',
-            )
-        if key in {'x', 'y'} and column.dtype.kind == 'f' and (between := column % 1 != 0).any():
-            raise RecordingError(
-                f'{self.path}: {name} has {key} = {column[between][0]}, between two pixels',
-                remedy='give events as the camera sent them, without rectification',
-            )
-
-    def _polarity(self, column: NDArray[Any]) -> NDArray[np.bool_]:
-        values = np.unique(column)
-        if not (set(values.tolist()) <= {0, 1} or set(values.tolist()) <= {-1, 1}):
-            shown = ', '.join(map(str, values[:5].tolist()))
-            raise RecordingError(
-                f'{self.path}: polarity has the values {shown}',
-                remedy='write 0 and 1, -1 and 1, or true and false',
-            )
-        return column > 0
-
-    def _scaled(
-        self, name: str, t: NDArray[Any], given: str, default: str, wanted_ns: int
-    ) -> NDArray[np.int64]:
-        """Return times in the wanted unit."""
-        unit_ns = TIME_UNITS[given or default]
-        if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
-            raise RecordingError(
-                f'{self.path}: {name} has times of {t.min()} to {t.max()} {given or default},'
-                ' which no stamp of ROS holds',
-                remedy='give the unit of the times with --time-unit or --force-unit',
-            )
-        if t.dtype.kind == 'f':
-            if not given and unit_ns <= wanted_ns and (fractions := t % 1 != 0).any():
-                raise RecordingError(
-                    f'{self.path}: times of {name} have fractions ({t[fractions][0]}), and nothing'
-                    ' gives their unit',
-                    remedy='give --time-unit s',
-                )
-            return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
-        if unit_ns >= wanted_ns:
-            return t.astype(np.int64) * (unit_ns // wanted_ns)
-        return t.astype(np.int64) // (wanted_ns // unit_ns)
-
-    def _ten_bits(self, image: NDArray[Any]) -> NDArray[np.uint16]:
-        """Return grey values of 0 .. 1023; 8 bits become the upper ones."""
-        if image.dtype == np.uint8:
-            return ten_bits(image)
-        if (
-            image.dtype.kind not in 'iu'
-            or image.min(initial=0) < 0
-            or image.max(initial=0) > MOST_GREY
-        ):
-            raise RecordingError(
-                f'{self.path}: frames are {image.dtype} of {image.min(initial=0)} to'
-                f' {image.max(initial=0)}',
-                remedy=f'store them as uint8, or as integers of 0 to {MOST_GREY}',
-            )
-        return image.astype(np.uint16)
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise RecordingError(f'{name} is not installed ({error})', remedy=remedy) from error
 
 
-def open_tables(path: Path, name: str = 'events', group: str = '') -> Tables | None:
-    """Return the tables of a path; None for AEDAT4, a bag, or a file that is no table.
+def open_hdf5(path: Path, mode: str) -> Any:  # noqa: ANN401
+    """Return an HDF5 file, an `h5py.File`, opened to read (`r`) or newly made (`x`).
+
+    Raises:
+        RecordingError: h5py is not installed, or the file cannot be opened.
+    """
+    h5py = optional_module('h5py', 'python3 tools/setup.py --with hdf5, or pip install h5py')
+    with contextlib.suppress(ImportError):
+        # Registers the compression of DSEC where it is installed.
+        import hdf5plugin  # noqa: F401
+    try:
+        return h5py.File(path, mode)
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be opened as HDF5: {error}') from error
+
+
+def find_tables(path: Path, name: str = 'events', group: str = '') -> Tables:
+    """Return the tables of a path; none for AEDAT4, a bag, or a file that is no table.
 
     Args:
         path: File or folder.
@@ -263,85 +179,91 @@ def open_tables(path: Path, name: str = 'events', group: str = '') -> Tables | N
         RecordingError: The file cannot be opened, or has no such group.
     """
     if path.is_file() and path.suffix.lower() in HDF5_SUFFIXES:
-        return _hdf5_tables(path, group)
-    for suffixes, read in ((TEXT_SUFFIXES, _csv_blocks), ((NPZ_SUFFIX,), _npz_blocks)):
-        if path.is_dir():
-            files = {each.stem: each for each in path.glob(f'*{suffixes[0]}')}
-        else:
-            files = {name: path} if path.is_file() and path.suffix.lower() in suffixes else {}
-        if files:
-            return Tables(path, {key: partial(read, each) for key, each in files.items()})
-    return None
+        groups = _groups(path, group).items()
+        return {each: partial(_read_hdf5, path, each, place) for each, place in groups}
+    # Of two tables of one name, the csv counts: it comes last.
+    paths = sorted(path.iterdir(), reverse=True) if path.is_dir() else [path]
+    readable = [each for each in paths if each.is_file() and each.suffix.lower() in _READERS]
+    return {
+        each.stem if path.is_dir() else name: partial(_READERS[each.suffix.lower()], each)
+        for each in readable
+    }
 
 
-def _heading(path: Path, cell: str) -> tuple[str, str]:
-    """Return meaning and stated unit of a heading such as `t [us, camera clock]`.
+def _meaning(name: str) -> str:
+    return COLUMNS.get(name.strip().lower(), name.strip().lower())
+
+
+def _columns(path: Path, headings: Iterable[str]) -> tuple[list[str], str]:
+    """Return the columns that headings such as `t [us, camera clock]` name, and the unit of times.
 
     Raises:
-        RecordingError: The unit is another one than that of the column.
+        RecordingError: Two name one column, or a unit is another one than that of the column.
     """
-    name, _, unit = cell.partition('[')
-    name, unit = name.strip().lower(), (re.match(r'\s*([\w/^]*)', unit) or [''])[1]
-    meaning = COLUMNS.get(name, name)
-    known = UNITS.get(meaning, UNITS.get(re.sub('_[xyz]$', '', meaning), ''))
-    allowed = list(TIME_UNITS) if meaning in TIMES else re.findall(r'[\w/^]+', known)[:1]
-    if unit and allowed and unit not in allowed:
-        raise RecordingError(
-            f'{path}: the unit of {name} is {unit}', remedy=f'convert it to {" or ".join(allowed)}'
-        )
-    return meaning, unit
+    headings, names, stated = list(headings), [], ''
+    for heading in headings:
+        short, _, unit = heading.partition('[')
+        name = _meaning(short)
+        unit = re.findall(r'[\w/^]*', unit.strip())[0]
+        known = UNITS.get(re.sub('_[xyz]$', '', name), '')
+        allowed = [*TIME_UNITS] if name in TIMES else re.findall(r'[\w/^]+', known)[:1]
+        if unit and allowed and unit not in allowed:
+            raise RecordingError(
+                f'{path}: the unit of {short.strip()} is {unit}',
+                remedy=f'convert it to {" or ".join(allowed)}',
+            )
+        if name in TIMES:
+            stated = stated or unit
+        names.append(name)
+    if len(set(names)) < len(names):
+        raise RecordingError(f'{path}: two columns have one name: {", ".join(headings)}')
+    return names, stated
 
 
-def _csv_blocks(path: Path) -> Iterator[Block]:
+def _read_csv(path: Path) -> Iterator[Block]:
     with path.open(encoding='utf-8-sig', errors='replace') as file:
-        lines = (line for line in file if line.strip() and not line.startswith('#'))
+        lines: Iterator[str] = (line for line in file if line.strip() and not line.startswith('#'))
         first = next(lines, '')
         if not first:
             raise RecordingError(f'{path} is empty', remedy='give a table with rows')
-        rows = _cells(itertools.chain([first], lines))
-        cells = next(rows)
-        stated, camera, unnamed = '', None, False
-        if len(cells) == 2 and all(each.strip().isdecimal() for each in cells):
-            following = next(rows, [])
-            if len(following) == 4:
-                camera, cells = (int(cells[0]), int(cells[1])), following
-            elif following:
-                rows = itertools.chain([following], rows)
-        if _is_number(cells[0]):
-            if len(cells) not in UNNAMED:
-                raise RecordingError(
-                    f'{path} has {len(cells)} columns and no headings: {first.strip()!r}',
-                    remedy='add a line of headings: t, x, y, p; or t, fz',
-                )
-            names, rows = list(UNNAMED[len(cells)]), itertools.chain([cells], rows)
-            unnamed = len(cells) == 4
+        separator = ',' if ',' in first else None
+        cells = next(csv.reader([first], skipinitialspace=True)) if separator else first.split()
+        if not _is_number(cells[0]):
+            names, stated = _columns(path, cells)
+        elif len(cells) in UNNAMED:
+            names, stated, lines = [*UNNAMED[len(cells)]], '', itertools.chain([first], lines)
         else:
-            found = [_heading(path, cell) for cell in cells]
-            names = [meaning for meaning, _ in found]
-            stated = next((unit for meaning, unit in found if meaning in TIMES), '')
-            if len(set(names)) < len(names):
-                raise RecordingError(f'{path}: two columns have one name: {", ".join(cells)}')
+            raise RecordingError(
+                f'{path} has {len(cells)} columns and no headings: {first.strip()!r}',
+                remedy='add a line of headings: t, x, y, p; or t, fz',
+            )
+        # Pictures may differ in size.
         start, size = 1, 1 if 'file' in names else ROWS
-        while part := list(itertools.islice(rows, size)):
-            columns = _columns(path, names, part, start)
-            if unnamed and (columns['t'][1:] < columns['t'][:-1]).any():
-                raise RecordingError(
-                    f'{path} has no headings, and the first column does not grow',
-                    remedy='name the columns in a first line, for example x,y,p,t; if they are'
-                    ' t,x,y,p, sort the rows by time',
-                )
-            yield Block(columns, ', '.join(cells), stated, camera)
-            start += len(part)
+        while part := list(itertools.islice(lines, size)):
+            split = csv.reader(part, skipinitialspace=True) if separator else map(str.split, part)
+            table = _table(path, list(split), names, start)
+            start += len(table)
+            rows = {
+                name: _numbers(column)
+                for name, column in zip(names, table.T, strict=True)
+                if re.sub('_[xyz]$', '', name) in UNITS
+            }
+            if 'file' in names:
+                rows['image'] = _picture(path, str(table[0, names.index('file')]))[None]
+                if {'x', 'y'} <= rows.keys():
+                    rows['origin'] = np.stack([rows.pop('x'), rows.pop('y')], axis=1)
+            yield Block(rows, ', '.join(cells), stated)
 
 
-def _cells(lines: Iterator[str]) -> Iterator[list[str]]:
-    """Yield the cells of lines, separated by commas, or by white space if the first has none."""
-    first = next(lines)
-    every = itertools.chain([first], lines)
-    if ',' in first:
-        yield from csv.reader(every, skipinitialspace=True)
-    else:
-        yield from (line.split() for line in every)
+def _table(path: Path, rows: list[list[str]], names: list[str], start: int) -> NDArray[np.str_]:
+    """Return the cells of rows as an array, [n, columns]; `start` is the number of the first."""
+    for number, row in enumerate(rows, start):
+        if len(row) != len(names):
+            raise RecordingError(
+                f'{path}, row {number}: {len(row)} cells, not {len(names)} ({", ".join(names)})',
+                remedy='complete or remove the row, or a first line that is the size of the camera',
+            )
+    return np.array(rows)
 
 
 def _is_number(cell: str) -> bool:
@@ -351,57 +273,24 @@ def _is_number(cell: str) -> bool:
     return False
 
 
-def _columns(path: Path, names: list[str], rows: list[list[str]], start: int) -> Rows:
-    """Return the columns of some rows; `start` is the number of the first one."""
-    for number, row in enumerate(rows, start):
-        if len(row) != len(names):
-            raise RecordingError(
-                f'{path}, row {number}: {len(row)} cells, not {len(names)} ({", ".join(names)})',
-                remedy='complete or remove the row',
-            )
-    found: Rows = {}
-    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
-        if name == 'file':
-            found['image'] = np.stack([_picture(path, each) for each in cells])
-        elif name in KNOWN:
-            found[name] = _numbers(path, name, cells, start)
-    if 'image' in found and {'x', 'y'} <= found.keys():
-        found['origin'] = np.stack([found.pop('x'), found.pop('y')], axis=1)
-    return found
+def _numbers(text: NDArray[np.str_]) -> NDArray[Any]:
+    """Return a column: integers where all are, so that times of many digits stay exact.
 
-
-KNOWN: Final = frozenset(UNITS) | frozenset(
-    f'{name}_{axis}'
-    for name in ('force', 'torque', 'acceleration', 'angular_velocity')
-    for axis in AXES
-)
-"""Columns that are read; all others are passed over."""
-_TRUTH: Final = {'true': '1', 'false': '0'}
-
-
-def _numbers(path: Path, name: str, cells: tuple[str, ...], start: int) -> NDArray[Any]:
-    """Return a column: integers where all are, so that times of many digits stay exact."""
-    if cells[0].strip().lower() in _TRUTH:
-        cells = tuple(_TRUTH.get(each.strip().lower(), each) for each in cells)
-    text = np.array(cells)
-    with contextlib.suppress(ValueError, OverflowError):
-        return text.astype(np.int64)
-    with contextlib.suppress(ValueError):
-        return text.astype(np.float64)
-    row = next(number for number, cell in enumerate(cells) if not _is_number(cell))
-    raise RecordingError(
-        f'{path}, row {start + row}: {name} is {cells[row]!r}',
-        remedy='write a number, or remove the row',
-    )
+    True and false are 1 and 0; what is no number becomes NaN.
+    """
+    if text[0].strip().lower() in {'true', 'false'}:
+        small = np.char.lower(np.char.strip(text))
+        text = np.where(small == 'true', '1', np.where(small == 'false', '0', text))
+    for kind in (np.int64, np.float64):
+        with contextlib.suppress(ValueError, OverflowError):
+            return text.astype(kind)
+    return np.array([float(cell) if _is_number(cell) else np.nan for cell in text.tolist()])
 
 
 def _picture(path: Path, name: str) -> NDArray[np.uint16]:
     """Return the pixels of a picture that a table names, 8 bits or 16 left-aligned, as 10 bits."""
-    image: Any = None
-    # Pictures that claim more than 2^30 pixels.
-    with contextlib.suppress(cv2.error):
-        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-        image = cv2.imread(str(path.parent / name), flags)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image: Any = cv2.imread(str(path.parent / name), flags)
     if image is None:
         raise RecordingError(
             f'{path.parent / name} of {path} cannot be read', remedy='check the paths'
@@ -409,7 +298,7 @@ def _picture(path: Path, name: str) -> NDArray[np.uint16]:
     return ten_bits(image)
 
 
-def _npz_blocks(path: Path) -> Iterator[Block]:
+def _read_npz(path: Path) -> Iterator[Block]:
     try:
         with path.open('rb') as file, np.lib.npyio.NpzFile(file) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -417,10 +306,15 @@ def _npz_blocks(path: Path) -> Iterator[Block]:
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise RecordingError(f'{path} is no NPZ file of arrays: {reason(error)}') from error
     units = str(arrays.pop('units', ''))
-    named = {COLUMNS.get(key.lower(), key.lower()) for key in arrays}
-    whole = [] if named.intersection(TIMES) else list(filter(_is_table, arrays.values()))
-    for columns in _split(path, whole[0]) if len(whole) == 1 else (arrays,):
-        yield from _sliced(columns, path.stem == 'frames', units)
+    whole = [array for array in arrays.values() if _is_table(array)]
+    timed = any(_meaning(key) in TIMES for key in arrays)
+    yield from _blocks(path, whole[0] if len(whole) == 1 and not timed else arrays, units)
+
+
+_READERS: Final[dict[str, Callable[[Path], Iterator[Block]]]] = {
+    **dict.fromkeys(TEXT_SUFFIXES, _read_csv),
+    NPZ_SUFFIX: _read_npz,
+}
 
 
 def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
@@ -428,14 +322,32 @@ def _is_table(array: Any) -> bool:  # noqa: ANN401  (an array or a data set)
     return bool(array.dtype.names) or (array.ndim == 2 and array.shape[1] == 4)
 
 
-def _split(path: Path, array: Any) -> Iterator[Rows]:  # noqa: ANN401
-    """Yield the columns of an array with fields, or of one with four columns."""
-    order: tuple[str, ...] = array.dtype.names or ()
-    for start in range(0, len(array), ROWS):
-        rows = np.asarray(array[start : start + ROWS])
-        order = order or _order(path, rows)
-        parts = [rows[name] for name in order] if rows.dtype.names else rows.T
-        yield dict(zip(order, parts, strict=True))
+def _holds_events(place: Any) -> bool:  # noqa: ANN401  (a group or a data set)
+    """Return whether a place in an HDF5 file holds all columns of events."""
+    if hasattr(place, 'dtype'):
+        return _is_table(place)
+    return {_meaning(key) for key in place}.issuperset(EVENT_COLUMNS)
+
+
+def _blocks(path: Path, source: Any, units: str = '') -> Iterator[Block]:  # noqa: ANN401
+    """Yield the rows of columns of equal length, arrays or data sets, or of one whole table."""
+    if hasattr(source, 'dtype'):
+        order: tuple[str, ...] = source.dtype.names or ()
+        for start in range(0, len(source), ROWS):
+            part = np.asarray(source[start : start + ROWS])
+            order = order or _order(path, part)
+            parts = [part[name] for name in order] if part.dtype.names else part.T
+            yield from _blocks(path, dict(zip(order, parts, strict=True)))
+        return
+    stated = dict(re.findall(r'(\w+) (\[[^\]]*)', units))
+    names, unit = _columns(path, (f'{key} {stated.get(key, "")}' for key in source))
+    columns = dict(zip(names, source.values(), strict=True))
+    count = next((len(columns[key]) for key in TIMES if np.ndim(columns.get(key, 0))), 0)
+    used = {key: each for key, each in columns.items() if np.ndim(each) and len(each) == count}
+    size = FRAME_ROWS if 'image' in used else ROWS
+    for start in range(0, max(count, 1), size):
+        rows = {key: np.asarray(each[start : start + size]) for key, each in used.items()}
+        yield Block(rows if count else {}, ', '.join(source), unit)
 
 
 def _order(path: Path, rows: NDArray[Any]) -> tuple[str, ...]:
@@ -454,69 +366,35 @@ def _order(path: Path, rows: NDArray[Any]) -> tuple[str, ...]:
     return ORDERS[grows.index(True)]
 
 
-def _sliced(columns: Any, frames: bool, units: str) -> Iterator[Block]:  # noqa: ANN401
-    """Yield columns of equal length, arrays or data sets, some rows at a time."""
-    named = {COLUMNS.get(key.lower(), key.lower()): each for key, each in columns.items()}
-    if not any(key in named for key in TIMES):
-        yield Block({}, ', '.join(columns))
-        return
-    count = len(next(named[key] for key in TIMES if key in named))
-    used = {key: each for key, each in named.items() if np.ndim(each) and len(each) == count}
-    stated = re.search(r'(?:^|, )(?:t|exposure_start) \[(\w+)', units)
-    size = FRAME_ROWS if frames or 'image' in used else ROWS
-    for start in range(0, count, size):
-        rows = {key: np.asarray(each[start : start + size]) for key, each in used.items()}
-        yield Block(rows, ', '.join(columns), stated[1] if stated else '')
-
-
-def _hdf5_tables(path: Path, group: str) -> Tables:
-    """Return the tables of an HDF5 file: its groups; times of events count from `t_offset`."""
-    file = open_hdf5(path, 'r')
-    groups = {key: each for key, each in file.items() if hasattr(each, 'items')}
-    if group or 'events' not in groups:
-        found = _event_groups(file)
-        if group not in file and len(found) != 1:
+def _groups(path: Path, group: str) -> dict[str, str]:
+    """Return the places of the tables of an HDF5 file, by their names."""
+    with open_hdf5(path, 'r') as file:
+        groups = {key: key for key, each in file.items() if hasattr(each, 'items')}
+        if not group and 'events' in groups:
+            return groups
+        found: list[str] = []
+        file.visititems(lambda name, each: found.append(name) if _holds_events(each) else None)
+        if group not in file if group else len(found) != 1:
             raise RecordingError(
                 f'{path} has no group {group or "events"}; events are in'
                 f' {", ".join(found) or "none"}',
                 remedy='choose the group of the events with --events',
             )
-        groups['events'] = file[group or found[0]]
-    offset = np.asarray(file['t_offset'][()] if 't_offset' in file else 0)
+    return groups | {'events': group or found[0]}
 
-    def blocks(name: str) -> Iterator[Block]:
-        table = groups[name]
+
+def _read_hdf5(path: Path, name: str, place: str) -> Iterator[Block]:
+    """Yield the rows of a table; times of events count from `t_offset`."""
+    with open_hdf5(path, 'r') as file:
+        table, offset = file[place], file['t_offset'][()].item() if 't_offset' in file else 0
         try:
-            units = str(table.attrs.get('units', ''))
-            parts = (table,) if hasattr(table, 'items') else _split(path, table)
-            for block in (
-                each for part in parts for each in _sliced(part, name == 'frames', units)
-            ):
+            for block in _blocks(path, table, str(table.attrs.get('units', ''))):
                 if name == 'events' and 't' in block.rows:
-                    block.rows['t'] = _signed(block.rows['t']) + _signed(offset)
+                    kind = np.float64 if block.rows['t'].dtype.kind == 'f' else np.int64
+                    block.rows['t'] = block.rows['t'].astype(kind) + offset
                 yield block
         except OSError as error:
             raise RecordingError(
-                f'{path}, {name}: {reason(error)}',
+                f'{path}, {place}: {reason(error)}',
                 remedy='pip install hdf5plugin, which reads compressed data of DSEC',
             ) from error
-
-    return Tables(path, {name: partial(blocks, name) for name in groups}, file.close)
-
-
-def _event_groups(file: Any) -> list[str]:  # noqa: ANN401
-    """Return the groups and data sets of an HDF5 file with all columns of events."""
-    found = []
-
-    def visit(name: str, each: Any) -> None:  # noqa: ANN401
-        keys = {COLUMNS.get(key.lower(), key.lower()) for key in getattr(each, 'keys', list)()}
-        if keys.issuperset(NEEDED['events']) or (hasattr(each, 'dtype') and _is_table(each)):
-            found.append(name)
-
-    file.visititems(visit)
-    return found
-
-
-def _signed(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Return integers as `int64`, which a sum with others keeps; fractions as they are."""
-    return numbers if numbers.dtype.kind == 'f' else numbers.astype(np.int64)

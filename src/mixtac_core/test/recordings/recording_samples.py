@@ -14,22 +14,13 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.events.packets import EncodedPacket
-from mixtac_core.recordings.bag import typestore
+from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.messages import set_header
 from mixtac_core.recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
 
-EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
-IMAGE = 'sensor_msgs/msg/Image'
-IMU = 'sensor_msgs/msg/Imu'
-CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-FRAME_EXPOSURE = 'mixtac_msgs/msg/FrameExposure'
-EXTERNAL_EDGE = 'mixtac_msgs/msg/ExternalEdge'
-TEMPERATURE = 'sensor_msgs/msg/Temperature'
-TIME_REFERENCE = 'sensor_msgs/msg/TimeReference'
 START_US = 1_700_000_000_123_456
 TYPES = typestore()
-HEADER = TYPES.types['std_msgs/msg/Header']
-TIME = TYPES.types['builtin_interfaces/msg/Time']
 
 
 def some_events(seed=0, count=5000, length_us=50_000, start_us=START_US, size=(346, 260)):
@@ -42,10 +33,6 @@ def some_events(seed=0, count=5000, length_us=50_000, start_us=START_US, size=(3
         rng.integers(0, size[1], count).astype(np.uint16),
         rng.integers(0, 2, count).astype(np.bool_),
     )
-
-
-def header(t_us):
-    return HEADER(TIME(int(t_us // 1_000_000), int(t_us % 1_000_000) * 1000), 'camera')
 
 
 def plain_packet(events):
@@ -79,6 +66,14 @@ class Bag:
         data = TYPES.serialize_cdr(message, kind)
         self.writer.write(self.connections[topic], int(received_us) * 1000, data)
 
+    def send(self, topic, type_name, t_us, received_us=None, **fields):
+        """Write a message with a stamp and some fields, all others are zero."""
+        message = blank_message(type_name)
+        set_header(message, 1000 * t_us, 'camera')
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self.write(topic, type_name, t_us if received_us is None else received_us, message)
+
     def packet(
         self,
         events,
@@ -93,19 +88,18 @@ class Bag:
         if encoded is None and encoding == 'libcaer' and len(events):
             encoded = plain_packet(events)
         encoded = encoded or encode(events, complete_until=until_us)
-        stamp_us = until_us if stamp_us is None else stamp_us
-        message = TYPES.types[EVENT_PACKET](
-            header(stamp_us),
-            size[1],
-            size[0],
-            self.sequence,
-            encoded.time_base,
-            encoding,
-            False,
-            np.asarray(encoded.payload, np.uint8),
+        self.send(
+            topic,
+            'event_camera_msgs/msg/EventPacket',
+            until_us if stamp_us is None else stamp_us,
+            width=size[0],
+            height=size[1],
+            seq=self.sequence,
+            time_base=encoded.time_base,
+            encoding=encoding,
+            events=np.asarray(encoded.payload, np.uint8),
         )
         self.sequence += 1
-        self.write(topic, EVENT_PACKET, stamp_us, message)
 
     def events(self, events, period_us=1000, **options):
         """Write events in packets on a grid, also where none are."""
@@ -124,64 +118,40 @@ class Bag:
         topic='/mixtac/image_raw',
         big=False,
     ):
-        height, width = pixels.shape
-        octets = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
-        message = TYPES.types[IMAGE](
-            header(t_us), height, width, encoding, big, octets.size // height, octets
-        )
-        self.write(topic, IMAGE, t_us if received_us is None else received_us, message)
+        (height, width), octets = pixels.shape, np.ascontiguousarray(pixels).view(np.uint8)
+        fields = {'height': height, 'width': width, 'encoding': encoding, 'is_bigendian': big}
+        fields |= {'step': octets.size // height, 'data': octets.reshape(-1)}
+        self.send(topic, 'sensor_msgs/msg/Image', t_us, received_us, **fields)
 
     def imu(self, t_us, acceleration, rotation=None, topic='/mixtac/imu'):
-        vector, quaternion = (
-            TYPES.types[f'geometry_msgs/msg/{name}'] for name in ('Vector3', 'Quaternion')
-        )
-        missing = np.zeros(9)
+        vector, missing = TYPES.types['geometry_msgs/msg/Vector3'], np.zeros(9)
         missing[0] = -1
-        message = TYPES.types[IMU](
-            header(t_us),
-            quaternion(0, 0, 0, 1),
-            missing,
-            vector(*(rotation or (0.0, 0.0, 0.0))),
-            missing if rotation is None else np.zeros(9),
-            vector(*acceleration),
-            np.zeros(9),
-        )
-        self.write(topic, IMU, t_us, message)
+        fields = {} if rotation else {'angular_velocity_covariance': missing}
+        fields['angular_velocity'] = vector(*(rotation or (0.0, 0.0, 0.0)))
+        fields['linear_acceleration'] = vector(*acceleration)
+        self.send(topic, 'sensor_msgs/msg/Imu', t_us, **fields)
 
     def temperature(self, t_us, celsius, topic='/mixtac/temperature'):
-        message = TYPES.types[TEMPERATURE](header(t_us), celsius, 0.0)
-        self.write(topic, TEMPERATURE, t_us, message)
+        self.send(topic, 'sensor_msgs/msg/Temperature', t_us, temperature=celsius)
 
     def exposure(self, t_us, times, shutter=0, received_us=None, topic='/mixtac/image_exposure'):
-        stamps = [header(time_us).stamp for time_us in times]
-        message = TYPES.types[FRAME_EXPOSURE](header(t_us), *stamps, shutter)
-        self.write(topic, FRAME_EXPOSURE, t_us if received_us is None else received_us, message)
+        time = TYPES.types['builtin_interfaces/msg/Time']
+        names = ('frame_start', 'exposure_start', 'exposure_end', 'frame_end')
+        stamps = [time(each // 1_000_000, each % 1_000_000 * 1000) for each in times]
+        fields = dict(zip(names, stamps, strict=True))
+        kind = 'mixtac_msgs/msg/FrameExposure'
+        self.send(topic, kind, t_us, received_us, **fields, shutter=shutter)
 
     def edge(self, t_us, kind, topic='/mixtac/external_edges'):
-        message = TYPES.types[EXTERNAL_EDGE](header(t_us), kind, 0)
-        self.write(topic, EXTERNAL_EDGE, t_us, message)
+        self.send(topic, 'mixtac_msgs/msg/ExternalEdge', t_us, kind=kind)
 
     def info(self, t_us, size=(346, 260), corner=(0, 0), topic='/mixtac/camera_info'):
         region = TYPES.types['sensor_msgs/msg/RegionOfInterest'](*corner, 0, 0, False)
-        message = TYPES.types[CAMERA_INFO](
-            header(t_us),
-            size[1],
-            size[0],
-            '',
-            np.zeros(0),
-            np.zeros(9),
-            np.zeros(9),
-            np.zeros(12),
-            0,
-            0,
-            region,
-        )
-        self.write(topic, CAMERA_INFO, t_us, message)
+        kind = 'sensor_msgs/msg/CameraInfo'
+        self.send(topic, kind, t_us, width=size[0], height=size[1], roi=region)
 
     def clock(self, t_us, serial, topic='/mixtac/camera_clock'):
-        stamp = header(t_us)
-        message = TYPES.types[TIME_REFERENCE](stamp, stamp.stamp, serial)
-        self.write(topic, TIME_REFERENCE, t_us, message)
+        self.send(topic, 'sensor_msgs/msg/TimeReference', t_us, source=serial)
 
 
 @dataclass

@@ -22,8 +22,8 @@ from mixtac_core.recordings.bag import (
     typestore,
 )
 from mixtac_core.recordings.bag_writer import BagWriter, McapBag, repair
+from mixtac_core.recordings.importing import StreamWriter
 from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError
-from mixtac_core.recordings.stream_writer import StreamWriter
 from mixtac_core.recordings.summary import summarise
 
 EVENTS = some_events(count=280, length_us=40_000)
@@ -36,13 +36,11 @@ def bag(tmp_path: Path) -> Path:
     """Return a bag of event packets and 10 wrenches, written from a thread."""
     writer = BagWriter(tmp_path / 'bag')
     stream = StreamWriter(writer, (346, 260))
-    stream.announce(FORCE)
     for index, stamp_ns in enumerate(STAMPS_NS):
         force = np.array([0, 0, 0.1 * index, 0, 0, 0])
         stream.wrench(FORCE, stamp_ns, force, 'ft', 10**9 + index)
     stream.events(EVENTS, START_US + 41_000, 2 * 10**9)
     writer.close()
-    assert writer.written['/mixtac/force'] == 10
     assert writer.dropped == 0
     return tmp_path / 'bag'
 
@@ -56,7 +54,6 @@ def test_what_was_written_is_read(bag: Path):
     assert not forces[:, :2].any()
     events = summarise(bag).events['/mixtac/events']
     assert (events.events, events.lost_packets, events.backward_steps) == (280, 0, 0)
-    assert events.duration_s == pytest.approx(0.04, abs=2e-6)
 
 
 def test_an_unknown_topic_lists_the_known_ones(bag: Path):
@@ -108,11 +105,6 @@ def test_blank_messages_are_those_of_ros(name: str):
     assert rclpy.deserialize_message(data, message_class(name)) == message_class(name)()
 
 
-def test_recording_over_a_bag_is_refused(bag: Path):
-    with pytest.raises(RecordingError):
-        BagWriter(bag)
-
-
 @pytest.mark.parametrize('backwards', [False, True])
 def test_a_clock_that_was_reset_shows_in_the_summary(tmp_path: Path, backwards):
     with Bag(tmp_path / 'bag') as made:
@@ -133,25 +125,15 @@ def test_what_the_writer_of_a_bag_said_of_it_survives_a_repair(bag: Path, tmp_pa
     assert custom_data(tmp_path / 'repaired') == said
 
 
-def test_the_clock_fit_of_an_earlier_bag_does_not_count_for_a_new_one(bag: Path, tmp_path: Path):
-    new = tmp_path / 'new'
+@pytest.mark.parametrize('make', [BagWriter, lambda out: repair(out.with_name('bag'), out)])
+def test_neither_a_bag_nor_the_clock_fit_of_an_earlier_one_is_taken_over(bag: Path, make):
+    new = bag.with_name('new')
     fit_path(new).write_text('{}')
-    for make in (lambda out: BagWriter(out).close(), lambda out: repair(bag, out)):
+    for out, existing in ((bag, bag), (new, fit_path(new))):
         with pytest.raises(RecordingError) as caught:
-            make(new)
-        assert str(fit_path(new)) in str(caught.value)
-        assert not new.exists()
-
-
-def test_a_repair_that_is_interrupted_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch):
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(McapBag, 'write', interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        repair(bag, tmp_path / 'out')
-    assert sorted(tmp_path.iterdir()) == before
+            make(out)
+        assert str(existing) in str(caught.value)
+    assert not new.exists()
 
 
 def test_a_bag_found_from_within_has_its_name(bag: Path, monkeypatch: pytest.MonkeyPatch):
@@ -161,14 +143,7 @@ def test_a_bag_found_from_within_has_its_name(bag: Path, monkeypatch: pytest.Mon
         assert find_bags(Path(given)) == [bag.resolve()]
 
 
-def test_bags_are_named_after_as_many_folders_as_tell_them_apart():
-    paths = ['d/static/a', 'd/dynamic/a', 'd/b', 'e/x/a/c', 'f/x/a/c', 'e/x/a/c']
-    names = distinct_names(map(Path, paths))
-    assert [names[Path(each)] for each in paths] == [
-        'static_a',
-        'dynamic_a',
-        'b',
-        'e_x_a_c',
-        'f_x_a_c',
-        'e_x_a_c',
-    ]
+def test_bags_are_named_after_their_folders_where_their_own_names_repeat():
+    apart, alike = [Path('d/static/a'), Path('d/b')], [Path('d/static/a'), Path('d/dynamic/a')]
+    assert list(distinct_names(apart).values()) == ['a', 'b']
+    assert list(distinct_names(alike).values()) == ['static_a', 'dynamic_a']

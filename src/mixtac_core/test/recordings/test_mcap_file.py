@@ -110,9 +110,9 @@ def test_a_damaged_chunk_costs_its_own_messages_only(mcap, tmp_path):
     assert found == sent[:lost] + sent[lost + after :]
     assert damage
     assert summarise(damaged).damage
-    result = repair(damaged, tmp_path / 'repaired')
-    assert result.damage
-    assert sum(result.counts.values()) == len(found)
+    counts, missing = repair(damaged, tmp_path / 'repaired')
+    assert missing
+    assert counts.total() == len(found)
     assert contents(tmp_path / 'repaired') == (found, '')
 
 
@@ -243,13 +243,13 @@ number = 0
 while not writer.failure:
     writer.write(topic, 10**18 + number, os.urandom(10_000))
     number += 1
-    while number % 40 == 0 and writer.written['/x'] + writer.dropped < number:
-        time.sleep(0.01)
+    if number % 40 == 0:
+        time.sleep(0.05)
 writer.close()
 with BagFile(path) as bag:
     found = [t for _, t, _ in bag.messages('/x', raw=['/x'])]
     assert found == [10**18 + n for n in range(len(found))]
-    assert len(found) == writer.written['/x'] == number - writer.dropped
+    assert len(found) == number - writer.dropped
     assert not bag.damage
 print(len(found))
 """

@@ -9,10 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.events.arrays import Events
-from mixtac_core.events.codec import decode_message
 from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
-from mixtac_core.events.windows import Packet
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_core.recordings.recording import RecordingError
@@ -29,13 +26,6 @@ FRAME = Frame(
     exposure_cycles=4001,
     global_shutter=True,
 )
-EVENTS = Events(
-    np.array([5, 7, 7]),
-    np.array([1, 2, 3], 'u2'),
-    np.array([4, 5, 6], 'u2'),
-    np.array([1, 0, 1]) > 0,
-)
-PACKET = Packet(77_000_000_123, EVENTS, 900)
 SAMPLES = InertialSamples(
     np.array([10, 20]),
     np.array([[1.0, 2.0, 3.0], [np.nan] * 3]),
@@ -48,7 +38,6 @@ def built(new):
     """Return one message of each kind."""
     image = messages.image(FRAME, ORIGIN_US, 2, 'camera', new)
     return [
-        messages.event_packet(PACKET, 9, (346, 260), 'camera', new),
         image,
         messages.camera_info(FRAME, (346, 260), image, new),
         messages.frame_exposure(FRAME, ORIGIN_US, image, new),
@@ -69,22 +58,20 @@ def test_both_kinds_of_messages_are_equal():
 
 
 def test_readings_come_back():
-    packet, image, info, exposure, first, second, _, _, edge = built(blank_message)
-    assert decode_message(packet).events.t.tolist() == [5, 7, 7]
-    assert packet.header.stamp.nanosec == 123
+    image, info, exposure, first, second, _, _, edge = built(blank_message)
     assert (info.roi.x_offset, info.roi.y_offset) == (FRAME.x, FRAME.y)
-    read = messages.read_frame(image, offset_us=ORIGIN_US, corner=(FRAME.x, FRAME.y))
-    read = messages.exposed_frame(read, exposure, offset_us=ORIGIN_US)
+    read = messages.read_frame(image, FRAME.middle_us, (FRAME.x, FRAME.y))
+    read = messages.exposed_frame(read, exposure, ORIGIN_US)
     np.testing.assert_array_equal(read.image, FRAME.image)
     for name in ('x', 'y', 'exposure_start_us', 'exposure_end_us', 'frame_end_us', 'middle_us'):
         assert getattr(read, name) == getattr(FRAME, name)
     assert read.global_shutter
     for index, message in enumerate((first, second)):
-        sample = messages.read_samples(message, offset_us=ORIGIN_US)
-        assert sample.t[0] == SAMPLES.t[index]
+        sample = messages.read_samples(message, 7)
+        assert sample.t[0] == 7
         np.testing.assert_array_equal(sample.acceleration[0], SAMPLES.acceleration[index])
         np.testing.assert_array_equal(sample.angular_velocity[0], SAMPLES.angular_velocity[index])
-    edges = messages.read_edges(edge, offset_us=ORIGIN_US)
+    edges = messages.read_edges(edge, 5)
     assert (edges.t.tolist(), edges.kind.tolist()) == ([5], [EdgeKind.EXTERNAL_RISING])
 
 
@@ -94,9 +81,17 @@ def test_colour_filters_are_recovered_from_any_corner(number, x, y):
     assert messages.color_filter(encoding, x, y) == (number if number in messages.BAYER else 0)
 
 
+@pytest.mark.parametrize(
+    ('values', 'expected'),
+    [(np.array([1, 255], 'u1'), [4, 1020]), (np.array([64, 65535], 'u2'), [1, 1023])],
+)
+def test_pixels_become_ten_bits(values, expected):
+    assert messages.ten_bits(values).tolist() == expected
+
+
 @pytest.mark.parametrize('encoding', ['rgb8', 'bayer_xxxx8', 'mono12', ''])
 def test_other_images_are_refused(encoding):
     message = messages.image(FRAME, ORIGIN_US, 0, 'camera', blank_message)
     message.encoding = encoding
     with pytest.raises(RecordingError):
-        messages.read_frame(message, offset_us=0, corner=(0, 0))
+        messages.read_frame(message, 0, (0, 0))

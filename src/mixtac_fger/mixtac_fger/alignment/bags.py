@@ -24,8 +24,8 @@ from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder, read_data, write_json
 from mixtac_core.node.images import ImageConversionError, grey
 from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
-from mixtac_core.recordings.bag import BagFile, check_new, custom_data, fit_path, typestore
-from mixtac_core.recordings.bag_writer import McapBag, offered_qos
+from mixtac_core.recordings.bag import BagFile, check_new, fit_path, typestore
+from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.align import arrived_together
 from mixtac_fger.alignment.clock_fit import ClockFit
@@ -210,26 +210,19 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
     types = typestore()
     fit_topic = topics.CLOCK_FIT.resolved(namespace)
     with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
-        writer.custom_data.update(custom_data(bag))
-        copied = {c.topic: c for c in source.connections if c.topic != fit_topic}
-        handles = {topic: writer.add_like(connection) for topic, connection in copied.items()}
-        fit_handle = writer.add_connection(
-            fit_topic,
-            topics.CLOCK_FIT.type_name,
-            typestore=types,
-            offered_qos_profiles=(offered_qos(latched=True),),
-        )
+        handles = writer.add_topics_of(source, fit_topic)
+        fit_handle = writer.add_topic(fit_topic, topics.CLOCK_FIT.type_name, latched=True)
         own = _fit_message(types, _of_one_clock(fit), source.start_ns)
         writer.write(fit_handle, source.start_ns, own)
-        raw = copied.keys() - {reference}
-        for topic, received_ns, message in source.messages(*copied, raw=raw):
+        raw = handles.keys() - {reference}
+        for topic, received_ns, message in source.messages(*handles, raw=raw):
             data = message
             if topic == reference:
                 stamp = message.header.stamp
                 seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
                 moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
                 stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
-                data = types.serialize_cdr(message, copied[topic].msgtype)
+                data = types.serialize_cdr(message, source.types[reference])
             writer.write(handles[topic], received_ns, data)
 
 

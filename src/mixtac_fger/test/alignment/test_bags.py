@@ -15,8 +15,8 @@ from mixtac_core.events.packets import CodecError
 from mixtac_core.node import topics
 from mixtac_core.recordings.bag import typestore
 from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.importing import StreamWriter
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_core.recordings.stream_writer import StreamWriter
 from mixtac_fger.alignment.bags import add_packet, read_recording
 from mixtac_fger.alignment.errors import GapError
 from mixtac_fger.alignment.histories import EventHistory

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
+from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
 from mixtac_core.events.windows import Packetizer
 from mixtac_core.node.topics import CAMERA_FRAME, IMU, IMU_FRAME
@@ -236,7 +237,7 @@ class CameraMessages:
         self._map = ClockMap()
         self._clock_due_ns = 0
         self._temperature_due_us = 0
-        self._sequence = 0
+        self._packets, self._sequence = PacketWriter(CAMERA_FRAME, SIZE), 0
         zero = np.zeros((1, 3))
         still = InertialSamples(np.zeros(1, np.int64), zero, zero, np.zeros(1))
         sample = messages.imu(still, 0, 0, IMU_FRAME, blank_message)
@@ -266,10 +267,8 @@ class CameraMessages:
         for last, time_us, arrival_ns in zip(cuts, reached, arrivals.tolist(), strict=True):
             packets = self._packetizer.push(published[first:last], time_us + origin_us, arrival_ns)
             for packet in packets:
-                message = messages.event_packet(
-                    packet, self._sequence, SIZE, CAMERA_FRAME, blank_message
-                )
-                self._sink.put(arrival_ns + PUBLISH_NS, 'events', message)
+                data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
+                self._sink.put_rows([arrival_ns + PUBLISH_NS], 'events', [data])
                 self._sequence += 1
             self._add_clock(time_us, arrival_ns)
             first = last

@@ -13,7 +13,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription
 from mixtac_sim import SimulationError
 from mixtac_sim.world.plans import DATASETS, describe, plan_dataset, plan_profile, split_groups
 from mixtac_sim.world.profiles import make_profile
@@ -148,10 +149,10 @@ def test_other_trials_or_another_simulator_are_told_apart(description):
 )
 def test_other_files_are_refused(tmp_path, text):
     (tmp_path / FILE_NAME).write_text(text)
-    with pytest.raises(DatasetError):
+    with pytest.raises(MixtacError):
         DatasetDescription.read(tmp_path)
 
 
 def test_no_file_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match=FILE_NAME):
+    with pytest.raises(MixtacError, match=FILE_NAME):
         DatasetDescription.read(tmp_path)
