@@ -93,12 +93,13 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
             try:
                 with contextlib.closing(BagRecording(path, Selection(topic, NONE, NONE))) as each:
                     part = _summarise_readings(each)
+                found.events[topic] = part.events.get('events', EventSummary())
+                found.warnings += [f'{topic}: {text}' for text in part.warnings]
+                notes.append(part.damage)
             except RecordingError as error:
                 notes.append(str(error))
-                continue
-            found.events[topic] = part.events.get('events', EventSummary())
-            found.warnings += [f'{topic}: {text}' for text in part.warnings]
-        found.damage = '; '.join(filter(None, (bag.damage, *notes)))
+        # Damage of a file shows in each of its topics.
+        found.damage = '; '.join(filter(None, dict.fromkeys((bag.damage, *notes))))
         return found
 
 
