@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Floats
-from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PITCH_MM, PIXELS, STEP_US, WIDTH, stream
+from mixtac_sim.grids import HEIGHT, PADDED, PITCH_MM, PIXELS, WIDTH, stream
 
 SILICONE_INDEX = 1.41
 """Refractive index of the layer: it looks shallower by this factor."""
@@ -287,62 +287,25 @@ def _wire_cover(place_mm: Floats, blur_mm: Floats | float, wire_mm: float) -> Fl
     return np.clip((far - near) / blur_mm, 0.0, 1.0)
 
 
-FLICKER_STEPS = 10
-"""Steps of the pixels per period of the light."""
-SMALL_RIPPLE = 0.05
-"""Largest ripple to which pixels respond in steady state, without steps of its own: a swing of
-0.1 log-e is below every threshold and only shifts the time of other crossings."""
-DARK_LIGHT = 0.02
-"""Light while the LEDs are switched off, over that while they are on (estimate: glare)."""
-
-
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Periodic light, 1 in the mean for a ripple and 1 at most for switched LEDs.
+    """A ripple of the lamp, 1 in the mean; too small to make a pixel fire without motion.
 
     Attributes:
-        depth: Peak of the ripple over the mean, less 1, unused for switched LEDs.
-        hz: Frequency [Hz]; 0 for steady light.
+        depth: Peak of the ripple over the mean, less 1: up to 0.05. A swing of 0.1 log-e is below
+            every threshold and only shifts the time of other crossings; 0 is steady light.
         phase: Phase at time 0 [turns].
-        switched: Whether the LEDs are switched, half of the time on.
+        hz: Frequency [Hz]: twice the mains'.
     """
 
     depth: float
-    hz: float
     phase: float
-    switched: bool = False
-
-    @property
-    def steady(self) -> bool:
-        """Whether the light is constant."""
-        return self.hz <= 0.0 or (self.depth <= 0.0 and not self.switched)
-
-    @property
-    def small(self) -> bool:
-        """Whether the ripple is too small to make a pixel fire without motion."""
-        return not self.switched and self.depth <= SMALL_RIPPLE
-
-    @property
-    def longest_step(self) -> int:
-        """Return the most grid steps that resolve it; a small ripple needs no steps of its own."""
-        if self.steady or self.small:
-            return BLOCK_STEPS
-        return max(int(1e6 / (FLICKER_STEPS * self.hz * STEP_US)), 1)
-
-    def light(self, t_us: Floats | float) -> Floats:
-        """Return the light at times [us] over the steady one."""
-        turns = 1e-6 * np.asarray(t_us, np.float64) * self.hz + self.phase
-        if self.switched:
-            return np.where(turns % 1.0 < 0.5, 1.0, DARK_LIGHT)
-        return np.asarray(1.0 + self.depth * np.sin(2.0 * np.pi * turns))
-
-    def log_light(self, t_us: float) -> float:
-        """Return the natural logarithm of the light at a time [us]; 0 if steady."""
-        return 0.0 if self.steady else float(np.log(self.light(t_us)))
+    hz: float = 100.0
 
     def mean(self, start_us: float, end_us: float) -> float:
         """Return the mean light between two times [us], for an exposure; 1 if steady."""
-        if self.steady:
+        if self.depth <= 0.0:
             return 1.0
-        edges = np.linspace(start_us, end_us, 513)
-        return float(np.mean(self.light(0.5 * (edges[1:] + edges[:-1]))))
+        edges_us = np.linspace(start_us, end_us, 513)
+        turns = 1e-6 * (0.5 * (edges_us[1:] + edges_us[:-1])) * self.hz + self.phase
+        return float(np.mean(1.0 + self.depth * np.sin(2.0 * np.pi * turns)))

@@ -72,7 +72,7 @@ class FaultKind(Enum):
     Attributes:
         STALL_DATA: The data endpoint halts until the host clears the halt, ``count`` times.
         STALL_CONTROL: Vendor requests are refused.
-        TIMEOUT_CONTROL: Control requests find no answer, except those that a kernel answers.
+        TIMEOUT_CONTROL: Vendor requests find no answer.
         GARBAGE_REGISTERS: Registers read as random numbers.
         SHORT_READS: Reads return a random number of bytes, odd ones too; the other half of a word
             that was cut is lost.
@@ -117,8 +117,7 @@ class Fault:
 
 _BLOCKING: Final = (FaultKind.FREEZE, FaultKind.HANG_READS)
 _LONGEST_SHORT_READ: Final = 1500
-_GET_DESCRIPTOR: Final = (0x80, 6)
-_CACHED_DESCRIPTORS: Final = {1, 2}
+_VENDOR: Final = 0x40
 
 
 class FaultInjector:
@@ -159,31 +158,26 @@ class FaultInjector:
         if self._active.get(FaultKind.FREEZE, (None, 0.0))[1] == math.inf:
             del self._active[FaultKind.FREEZE]
 
-    def before_control(self, request_type: int, request: int, value: int, limit_s: float) -> None:
+    def before_control(self, request_type: int, limit_s: float) -> None:
         """Apply the faults to a control request.
 
         Args:
             request_type: ``bmRequestType``.
-            request: ``bRequest``.
-            value: ``wValue``.
             limit_s: How long the host waits [s].
 
         Raises:
             UsbStall: It is refused.
             UsbTimeout: It finds no answer in time.
         """
-        # A kernel answers these two from memory.
-        if (request_type, request) == _GET_DESCRIPTOR and value >> 8 in _CACHED_DESCRIPTORS:
-            return
-        if request_type & 0x60 and self._take(FaultKind.STALL_CONTROL):
+        if request_type & _VENDOR and self._take(FaultKind.STALL_CONTROL):
             raise UsbStall('the request was refused (injected fault)')
-        if self._take(FaultKind.TIMEOUT_CONTROL):
+        if request_type & _VENDOR and self._take(FaultKind.TIMEOUT_CONTROL):
             ended_in = self._active[FaultKind.TIMEOUT_CONTROL][1] - time.monotonic()
             self._sleep(ended_in, limit_s)
 
     def answer(self, request_type: int, answer: bytes) -> bytes:
         """Return what is answered to a request instead of this."""
-        if request_type & 0x60 and self._take(FaultKind.GARBAGE_REGISTERS):
+        if request_type & _VENDOR and self._take(FaultKind.GARBAGE_REGISTERS):
             return self._random.randbytes(len(answer))
         return answer
 

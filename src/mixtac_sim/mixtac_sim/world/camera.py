@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mixtac_core.events.arrays import Events, Floats
-from mixtac_sim.grids import PIXELS, STEP_US, BlockStreams, cut_block, stream
+from mixtac_sim.grids import BLOCK_STEPS, PIXELS, STEP_US, BlockStreams, cut_block, stream
 from mixtac_sim.optics.renderer import MeshMotion, Renderer
 from mixtac_sim.optics.scene import Flicker
 from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
@@ -116,7 +116,7 @@ class Camera:
         aps, dvs, cover, dirty = self._aps, self._dvs, self._renderer.cover, self._renderer.dirty
         light = dvs.light
         first = 0
-        for last in cut_block(travel_px, min(longest, self._flicker.longest_step)):
+        for last in cut_block(travel_px, min(longest, BLOCK_STEPS)):
             from_us, to_us = start_us + first * STEP_US, start_us + last * STEP_US
             aps.expose_before(light, from_us, to_us)
             self._show(place(first, last), float(elastic_n[last - 1]))

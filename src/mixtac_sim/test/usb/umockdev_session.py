@@ -99,7 +99,7 @@ class Camera:
             self._play_scene()
             self._play_hard_words()
         while process.poll() is None:
-            if not len(self.device._fifo):
+            if not self.device.backlog:
                 self.done.touch()
             # Time that passes lets every client hand on what it holds back.
             self.device.feed(np.array([0x7001], np.uint16))
