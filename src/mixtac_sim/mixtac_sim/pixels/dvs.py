@@ -22,8 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.optics.renderer import MeshMotion
-from mixtac_sim.optics.scene import Flicker, Scene
+from mixtac_sim.optics.scene import Flicker, MeshMotion, Scene
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 
 FLOOR = 0

@@ -14,8 +14,7 @@ import numpy as np
 
 from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, PIXELS, STEP_US, BlockStreams, cut_block, stream
-from mixtac_sim.optics.renderer import MeshMotion, Renderer
-from mixtac_sim.optics.scene import Flicker
+from mixtac_sim.optics.scene import Flicker, MeshMotion, Renderer
 from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs

@@ -8,8 +8,7 @@ import pytest
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, force_law
-from mixtac_sim.optics.renderer import ONE
-from mixtac_sim.optics.scene import Scene
+from mixtac_sim.optics.scene import ONE, Scene, pixel_slopes
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.world.device import draw_conditions, draw_device
@@ -56,7 +55,7 @@ def test_moved_camera_is_opencvs(name):
 
 def test_rays_of_a_rolled_camera_undo_its_projection():
     lens = draw_device(2).on_day(draw_conditions(5, preset('hard'))).lens
-    slope_x, slope_y = lens.pixel_slopes()
+    slope_x, slope_y = pixel_slopes(lens)
     distance = float(lens.distance_mm(1.0))
     x, y = lens.project(slope_x * distance, slope_y * distance, np.ones_like(slope_x))
     rows, columns = np.mgrid[0:260, 0:346]

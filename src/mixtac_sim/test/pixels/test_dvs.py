@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from mixtac_sim.grids import PADDED, PIXELS, TILES
-from mixtac_sim.optics.renderer import ONE
-from mixtac_sim.optics.scene import Scene
+from mixtac_sim.optics.scene import ONE, Scene
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.pixels.noise import NoiseSource

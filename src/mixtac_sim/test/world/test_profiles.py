@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
-from mixtac_sim.world.profiles import PROFILES, make_profile
+from mixtac_sim.world.profiles import PROFILES, PULL_WAYS, PULLED_G, make_profile
 from mixtac_sim.world.segments import Segment, Tone
 
 

@@ -5,7 +5,7 @@
 import numpy as np
 
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
-from mixtac_sim.optics.renderer import ONE, Renderer
+from mixtac_sim.optics.scene import ONE, Renderer
 
 
 def spots(*rows):

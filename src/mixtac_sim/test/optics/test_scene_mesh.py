@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, TILES, WIDTH
-from mixtac_sim.optics.renderer import LEVELS_MM, MeshMotion
-from mixtac_sim.optics.scene import Lens, Lighting, build_sagging, build_scene
+from mixtac_sim.optics import scene
+from mixtac_sim.optics.scene import Lens, Lighting, MeshMotion, build_scene
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.world.device import draw_device
@@ -17,14 +17,15 @@ LENS = Lens(2.8, 2.0, 13.0, 4.0, 2.0, 0.0, 0.0, (172.5, 129.5))
 LIGHT = Lighting(200.0, (0.0, 0.0), 0.0, 0.05, 0.4, 0.15, 0.0, 0.3, (0.2, 0.1), corner_px=1e4)
 
 
-def image(scene):
-    return scene.floor[:PIXELS].reshape(HEIGHT, WIDTH)
+def image(lit):
+    return lit.floor[:PIXELS].reshape(HEIGHT, WIDTH)
 
 
-def test_mesh_that_comes_closer_is_magnified_about_the_axis():
+def test_mesh_that_comes_closer_is_magnified_about_the_axis(monkeypatch):
     rest = image(build_scene(LENS, LIGHT))
     sag = 0.5
-    closer = image(build_sagging(LENS, LIGHT, (0.0, 0.0), np.array([sag]), 1e6)[0])
+    monkeypatch.setattr(scene, 'SAG_MM', 1e6)
+    closer = image(build_scene(LENS, LIGHT, sag_mm=sag))
     growth = 13.0 / (13.0 - sag)
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
     x = ((columns - 172.5) * growth + 172.5).astype(np.float32)
@@ -36,13 +37,6 @@ def test_mesh_that_comes_closer_is_magnified_about_the_axis():
     assert falloff[middle].min() > 0.99
     assert np.corrcoef(back[middle].ravel(), rest[middle].ravel())[0, 1] > 0.98
     assert np.corrcoef(closer[middle].ravel(), rest[middle].ravel())[0, 1] < 0.95
-
-
-def test_scene_without_sag_is_the_one_at_rest():
-    device = draw_device(4)
-    still = build_sagging(device.lens, device.lighting, (1.0, 0.5), LEVELS_MM[:1], 8.0)[0]
-    np.testing.assert_array_equal(still.floor, device.scene.floor)
-    np.testing.assert_array_equal(still.gain, device.scene.gain)
 
 
 @pytest.fixture(scope='module')
@@ -64,7 +58,7 @@ def test_pixels_see_the_mesh_where_the_load_puts_it(parts):
     show(mesh, dvs, dirty, force)
     assert 0.3 < dirty.mean() < 1.0
     dvs.settle(np.zeros(TILES * TILE, np.int32))
-    sagged = build_sagging(device.lens, device.lighting, (1.0, 0.5), np.array([0.22]), 8.0)[0]
+    sagged = build_scene(device.lens, device.lighting, (1.0, 0.5), 0.22)
     seen = dvs.light.ravel()[:PIXELS]
     np.testing.assert_allclose(seen, sagged.floor[:PIXELS], rtol=0.02, atol=0.3)
     dirty[:] = 0
