@@ -11,7 +11,6 @@ slow down as well.
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from threading import Event, Thread
 
@@ -69,7 +68,6 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._force_pace = AnswerPace(ARM_AHEAD_US)
         paces = (self._slip_pace, self._arm_pace, self._force_pace)
         self._time = PacedClock(paces if settings.publish_clock else ())
-        self._reported = (0, time.monotonic())
         self._grasp, self._sensor = _make(settings, self._time)
         self._wire(settings)
         self._sensor.start()
@@ -174,27 +172,19 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         state = self._sensor.state()
         if not state.running:
             return Status(ERROR, 'SIMULATED grasp, stopped by an internal error: see the log', {})
-        speed = self._speed()
         return Status(
             OK,
-            f'SIMULATED grasp of a {self._settings.object}, at {speed:.0%} of real time',
+            f'SIMULATED grasp of a {self._settings.object}',
             {
                 'simulated': True,
                 'grasp_force': self._grasp.grasp_n,
                 'object_mm': self._grasp.object_mm,
                 'knocks': self._knocks,
-                'real_time_factor': speed,
                 'lost_s': 1e-6 * self._time.lost_us,
                 'answers_late_s': 1e-6 * self._slip_pace.lag_us,
                 'socket': self._server.path,
             },
         )
-
-    def _speed(self) -> float:
-        """Return simulated over host time since the last call."""
-        before_us, before_s = self._reported
-        self._reported = now_us, now_s = self._time.now_us(), time.monotonic()
-        return 1e-6 * (now_us - before_us) / max(now_s - before_s, 1e-3)
 
 
 def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGrasp, VirtualSensor]:

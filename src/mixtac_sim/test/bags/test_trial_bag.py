@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
 
 from mixtac_core.events.codec import decode
 from mixtac_core.recordings.bag import BagFile
@@ -18,7 +17,7 @@ from mixtac_core.recordings.summary import summarise
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_sim.bags.messages import TrialClocks, trial_messages
-from mixtac_sim.bags.trial_bag import BAG_TOPICS, write_trial
+from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.world.device import draw_conditions
@@ -140,35 +139,6 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
         vector, rates = message.linear_acceleration, message.angular_velocity
         assert [vector.x, vector.y, vector.z] == linear[index].tolist()
         assert [rates.x, rates.y, rates.z] == angular[index].tolist()
-
-
-def test_messages_are_what_ros_makes_of_their_own_content(folder):
-    pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    from mixtac_core.node.topics import message_class
-
-    found = first_messages(folder)
-    assert set(found) == {each.resolved('mixtac') for each in BAG_TOPICS}
-    for each in BAG_TOPICS:
-        data = found[each.resolved('mixtac')]
-        message = deserialize_message(data, message_class(each.type_name))
-        assert same_but_padding(data, serialize_message(message)), each.name
-
-
-def same_but_padding(ours, of_ros):
-    """Compare; ROS pads at the end too, and leaves padding as it finds the memory."""
-    pairs = zip(ours, of_ros, strict=False)
-    same = all(mine == theirs or mine == 0 for mine, theirs in pairs)
-    return same and 0 <= len(of_ros) - len(ours) < 16
-
-
-def first_messages(folder):
-    found = {}
-    with Reader(folder / SPEC.name) as reader:
-        for connection, _, data in reader.messages():
-            found.setdefault(connection.topic, bytes(data))
-    return found
 
 
 def test_the_bag_is_whole_and_says_that_it_is_simulated(folder, bag):

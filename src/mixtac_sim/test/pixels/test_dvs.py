@@ -119,14 +119,6 @@ def test_blind_time_caps_the_rate():
     assert np.diff(one).min() >= 1.99e-3
 
 
-def test_events_lie_between_the_ends_of_a_step():
-    settings = PixelSettings(0.1, 0.1, 1e6, 1e4, **QUIET)
-    t, _, on = flicker(settings, even_spread(), lambda t: 100.0 if t <= 1.05 else 150.0, 0.2, 4e-3)
-    assert on.all()
-    assert t.min() >= 1.048 - 1e-9
-    assert t.max() <= 1.056 + 1e-9
-
-
 def test_hot_pixels_fire_at_their_rates():
     spread = PixelSpread(*even_spread()[:3], np.array([50, 60]), np.array([100.0, 300.0]))
     settings = PixelSettings(**QUIET)
@@ -136,11 +128,3 @@ def test_hot_pixels_fire_at_their_rates():
     assert counts[50] == pytest.approx(1000, rel=0.1)
     assert counts[60] == pytest.approx(3000, rel=0.06)
     assert counts.sum() == counts[50] + counts[60]
-
-
-def test_frames_disturb_pixels_at_once():
-    settings = PixelSettings(**QUIET)
-    noise = NoiseSource(np.full(PIXELS, 10.0, np.float32), settings, even_spread(), 1e-2, 1)
-    keys = noise.block(0, 4_000_000, [1_000_000])
-    assert len(keys) == pytest.approx(900, rel=0.15)
-    assert np.ptp(keys >> 18) <= 60_000

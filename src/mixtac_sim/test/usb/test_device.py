@@ -149,15 +149,6 @@ def test_short_packet_only_after_the_early_packet_delay(device):
     assert len(device.read_bulk(0x82, 64, 5.0)) == 8
 
 
-def test_debug_endpoint_never_answers_and_others_do_not_exist(device):
-    start(device)
-    device.feed(np.arange(4, dtype=np.uint16))
-    with pytest.raises(UsbTimeout):
-        device.read_bulk(0x81, 64, 0.01)
-    with pytest.raises(UsbStall):
-        device.read_bulk(0x83, 64, 0.01)
-
-
 def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
     start(device)
     results = []
@@ -178,14 +169,3 @@ def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
     assert results == [b'\0\0\1\0\2\0', 'gone']
     with pytest.raises(UsbGone):
         read(device, 6, 0)
-
-
-def test_port_reset_brings_power_up_values_back(device):
-    start(device)
-    write(device, 5, 10, 1)
-    device.feed(np.arange(4, dtype=np.uint16))
-    device.reset()
-    assert read(device, 5, 10) == 0
-    assert not device.streaming
-    with pytest.raises(UsbTimeout):
-        device.read_bulk(0x82, 64, 0.0)

@@ -114,12 +114,3 @@ def test_unknown_names_are_refused():
         preset('easier')
     with pytest.raises(SimulationError, match="'weather'"):
         EASY.without('weather')
-
-
-def test_static_climbs_in_steps_where_asked_to():
-    profile = make_profile('static', 3, 25.0, preset=preset('paper_like'))
-    _, targets, _ = profile.commands(0, 200_000)
-    assert 0.3 < targets.max() < 1.02
-    level = np.abs(np.diff(targets[::80])) < 2e-3  # 10 ms, tremor allowed
-    assert 0.4 < level.mean() < 0.98
-    assert len(make_profile('static', 3, 25.0).segments) == 3

@@ -11,7 +11,6 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.profiles import PROFILES, PULL_WAYS, PULLED_G, make_profile
-from mixtac_sim.world.segments import Segment, Tone
 
 
 def commands(profile):
@@ -46,16 +45,6 @@ def test_sync_impulses_are_short_alone_and_strong(name):
         assert 0.019 < np.ptp(t[near]) < 0.041
         assert 1.0 <= targets[near].max() <= 2.0
         assert t[near][np.argmax(targets[near])] == pytest.approx(centre, abs=1e-3)
-
-
-def test_only_the_demo_is_synchronised_unless_asked():
-    assert make_profile('demo', 1, 10.0).sync_s
-    assert not make_profile('press', 1, 10.0).sync_s
-
-
-def test_demo_shows_every_kind_of_contact():
-    modes, _, _ = commands(make_profile('demo', 1, 10.0))
-    assert {Mode.FREE, Mode.FORCE, Mode.DROP, Mode.LIFT} <= set(modes.tolist())
 
 
 def test_commands_do_not_depend_on_how_they_are_asked_for():
@@ -117,22 +106,7 @@ def test_a_hanging_mass_pulls_in_four_directions_and_rests_in_between():
     np.testing.assert_array_equal(np.concatenate(parts), steps)
 
 
-def test_targets_pass_through_their_knots_and_tones():
-    segment = Segment(
-        0.0, 2.0, Mode.FORCE, (0.0, 1.0, 2.0), (0.0, 0.8, 0.4), (Tone(0.1, 5.0, fade_s=0.2),)
-    )
-    np.testing.assert_allclose(
-        segment.target(np.array([0.0, 1.0, 2.0])), [0.0, 0.8, 0.4], atol=1e-9
-    )
-    assert segment.target(np.array([1.05]))[0] == pytest.approx(0.9, abs=0.01)
-
-
 @pytest.mark.parametrize(('name', 'duration'), [('waltz', 10.0), ('demo', 9.0), ('press', 0.1)])
 def test_impossible_profiles_are_refused(name, duration):
     with pytest.raises(SimulationError):
         make_profile(name, 0, duration)
-
-
-def test_what_has_no_mass_cannot_be_dropped():
-    with pytest.raises(SimulationError):
-        Segment(0.0, 1.0, Mode.DROP)
