@@ -25,12 +25,6 @@ def test_flange_of_the_ready_pose() -> None:
     assert flange_place(READY) == pytest.approx([flange[0], 0.0, flange[1]], abs=1e-12)
 
 
-def test_straight_up_the_lengths_add() -> None:
-    q = np.zeros(7)
-    place = flange_place(q)
-    assert place == pytest.approx([0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107], abs=1e-12)
-
-
 def test_the_first_joint_turns_the_flange_about_the_column() -> None:
     turned = READY + np.array([0.7, 0, 0, 0, 0, 0, 0])
     x, y, z = flange_place(READY)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.events.packetizer import Packetizer
-from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_core.events.readings import Frame, InertialSamples, inertial_samples
 from mixtac_core.node import topics
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
@@ -125,8 +125,6 @@ def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) ->
         readings: Measurements of the unit.
         camera_us: Times of the readings [n] [us, camera clock].
     """
-    if not readings:
-        return NO_SAMPLES
     settings = ImuSettings()
     raw = np.empty((len(readings), 15), np.uint8)
     values = [raw_values(reading, settings) for reading in readings]

@@ -133,7 +133,6 @@ class SensorState:
 
     Attributes:
         running: Whether the threads of the sensor are alive.
-        ahead_us: How far the simulation is ahead of the clock [us].
         overruns: Number of times the host could not keep up and time stopped.
         lost_us: Total time for which it stopped [us]: stamps of the camera and the reference lie as
             far in the past.
@@ -143,7 +142,6 @@ class SensorState:
     """
 
     running: bool
-    ahead_us: int
     overruns: int
     lost_us: int
     playing: bool
@@ -184,7 +182,7 @@ class VirtualSensor:
         self._ahead_until_us = 0
         self._overruns = 0
         self._late = False
-        self._settings_version = (0, 0)
+        self._settings_version = 0
         self._aps = (0, 0)
         self._pixels = PixelSettings()
         # Truth and samples of the reference that are known up to a simulated time [us].
@@ -261,7 +259,6 @@ class VirtualSensor:
         end_us = self._profile.end_us()
         return SensorState(
             running=bool(self._threads) and all(thread.is_alive() for thread in self._threads),
-            ahead_us=max(0, self._simulated_us - self._clock.now_us()),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
             playing=end_us is not None and self._clock.now_us() < end_us,

@@ -8,6 +8,7 @@ It may be called from any number of threads: usually one that produces data, and
 from __future__ import annotations
 
 import math
+import struct
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -20,7 +21,6 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.endpoints import ControlEndpoint
 from mixtac_sim.usb.faults import (
     Fault,
     FaultInjector,
@@ -46,9 +46,20 @@ from mixtac_sim.usb.stream import FILTER_REGISTERS, Oscillator, StreamAssembler
 from mixtac_sim.usb.words import ImuReading
 
 _IN: Final = 0x80
+_VENDOR_OUT: Final = 0x40
+_VENDOR_IN: Final = 0xC0
+_TYPE_MASK: Final = 0x60
+_REGISTER: Final = 0xBF
+_REGISTERS: Final = 0xC2
+_VALUE: Final = struct.Struct('>I')
+_ENTRY: Final = struct.Struct('>BBI')
+# Standard requests (USB 3.0, table 9-4).
+_CLEAR_FEATURE: Final = 1
+_GET_DESCRIPTOR: Final = 6
+_GET_CONFIGURATION: Final = 8
+_SET_CONFIGURATION: Final = 9
 _CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
 _ENDPOINTS: Final = {endpoints.DATA_ENDPOINT, endpoints.DEBUG_ENDPOINT}
-_DEFAULT_FIFO: Final = 4 << 20
 _LONGEST_WAIT_S: Final = 3600.0
 
 
@@ -63,6 +74,8 @@ class VirtualDavis346:
 
     Attributes:
         serial: Serial number.
+        settings_version: Power-ups and register writes so far; unchanged as long as no setting
+            changed.
     """
 
     def __init__(
@@ -83,7 +96,7 @@ class VirtualDavis346:
         self._faults = FaultInjector(self._condition)
         self._oldest_s, self._wanted = 0.0, sys.maxsize
         self._stream = StreamAssembler(fifo_bytes)
-        self._power_ups = 0
+        self.settings_version = 0
         self.plug_in()
 
     # The host's side.
@@ -157,10 +170,10 @@ class VirtualDavis346:
             self.check_present(plugs)
             if request_type & _IN:
                 wanted = data if isinstance(data, int) else len(data)
-                answer = self._endpoint0.answer(request_type, request, value, index)[:wanted]
+                answer = self._answer(request_type, request, value, index)[:wanted]
                 return self._faults.answer(request_type, answer)
             sent = b'' if isinstance(data, int) else data
-            self._endpoint0.obey(request_type, request, value, index, sent)
+            self._obey(request_type, request, value, index, sent)
             if (request_type, request, index) == _CLEAR_DATA_HALT:
                 self._faults.halt_cleared()
             return b''
@@ -289,11 +302,6 @@ class VirtualDavis346:
         return len(self._stream.fifo)
 
     @property
-    def settings_version(self) -> tuple[int, int]:
-        """Power-ups and register writes so far; unchanged as long as no setting changed."""
-        return self._power_ups, self._registers.writes
-
-    @property
     def exposure_us(self) -> int:
         """Exposure set by the host [us]."""
         return adc_cycles_to_us(self.register(Module.APS, Aps.EXPOSURE))
@@ -343,12 +351,12 @@ class VirtualDavis346:
     # Internal; the lock is held.
 
     def _power_up(self) -> None:
-        self._power_ups += 1
+        self.settings_version += 1
         self._registers = RegisterFile()
         self._oscillator = Oscillator(self._skew_ppm)
         self._reset_host_us = time.time_ns() // 1000 - self._clock()
         self._stream.power_up(self._registers, self._oscillator)
-        self._endpoint0 = ControlEndpoint(self._registers, self.serial, self._written)
+        self._configuration = 1
 
     def _early_packet_s(self) -> float:
         cycles = self._registers.read(Module.USB, Usb.EARLY_PACKET_DELAY)
@@ -408,7 +416,38 @@ class VirtualDavis346:
         self._stream.restart_time(self._clock(), announce=announce)
         self._announce(was_empty=was_empty)
 
-    def _written(self, module: int, param: int, before: int, value: int) -> None:
+    def _answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
+        """Answer a request for data."""
+        answer: bytes | None = None
+        if (request_type, request) == (_VENDOR_IN, _REGISTER):
+            answer = _VALUE.pack(self._registers.read(value, index))
+        elif not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
+            answer = endpoints.descriptor(value >> 8, value & 0xFF, self.serial)
+        elif not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
+            answer = bytes((self._configuration,))
+        if answer is None:
+            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
+        return answer
+
+    def _obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
+        """Carry out a request that sends data or none."""
+        size = len(data)
+        if (request_type, request, size) == (_VENDOR_OUT, _REGISTER, _VALUE.size):
+            self._write(value, index, _VALUE.unpack(data)[0])
+        elif (request_type, request, size) == (_VENDOR_OUT, _REGISTERS, _ENTRY.size * value):
+            for entry in _ENTRY.iter_unpack(data):
+                self._write(*entry)
+        elif not request_type & _TYPE_MASK and request == _SET_CONFIGURATION and value < 2:
+            self._configuration = value
+        elif request_type & _TYPE_MASK or request != _CLEAR_FEATURE:
+            raise UsbStall(
+                f'unknown request {request_type:#04x}/{request:#04x} of {value} with {size} bytes'
+            )
+
+    def _write(self, module: int, param: int, value: int) -> None:
+        before = self._registers.read(module, param)
+        self._registers.write(module, param, value)
+        self.settings_version += 1
         if module == Module.MUX and not before and value:
             if param == Mux.TIMESTAMP_RESET:
                 self._restart_time(announce=True)

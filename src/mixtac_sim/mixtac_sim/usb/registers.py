@@ -101,19 +101,6 @@ class Imu(IntEnum):
     GYRO_FULL_SCALE = 10
 
 
-class SysInfo(IntEnum):
-    """Parameters that describe the board."""
-
-    LOGIC_VERSION = 0
-    CHIP = 1
-    IS_MASTER = 2
-    LOGIC_CLOCK = 3
-    ADC_CLOCK = 4
-    USB_CLOCK = 5
-    CLOCK_DEVIATION = 6
-    LOGIC_PATCH = 7
-
-
 class Usb(IntEnum):
     """Parameters of the data path to the host."""
 
@@ -125,8 +112,6 @@ ADC_MHZ: Final = 30
 """Nominal ADC clock [MHz]."""
 USB_MHZ: Final = 80
 """Nominal USB clock [MHz]."""
-LOGIC_MHZ: Final = 120
-"""Nominal logic clock [MHz]."""
 CLOCK_DEVIATION: Final = 1008
 """True clocks over nominal ones, in 1/1000."""
 
@@ -144,14 +129,11 @@ def us_to_adc_cycles(us: int) -> int:
 # The retail chip is read out sideways: rows of the wire are columns of the picture.
 _READ_ONLY: Final[Mapping[tuple[int, int], int]] = MappingProxyType(
     {
-        (Module.SYSINFO, SysInfo.LOGIC_VERSION): 18,
-        (Module.SYSINFO, SysInfo.CHIP): 5,
-        (Module.SYSINFO, SysInfo.IS_MASTER): 1,
-        (Module.SYSINFO, SysInfo.LOGIC_CLOCK): LOGIC_MHZ,
-        (Module.SYSINFO, SysInfo.ADC_CLOCK): ADC_MHZ,
-        (Module.SYSINFO, SysInfo.USB_CLOCK): USB_MHZ,
-        (Module.SYSINFO, SysInfo.CLOCK_DEVIATION): CLOCK_DEVIATION,
-        (Module.SYSINFO, SysInfo.LOGIC_PATCH): 1,
+        # Logic version, chip, master, clocks of logic, ADC and USB and their deviation, patch.
+        **{
+            (Module.SYSINFO, param): value
+            for param, value in enumerate((18, 5, 1, 120, ADC_MHZ, USB_MHZ, CLOCK_DEVIATION, 1))
+        },
         (Module.MUX, Mux.HAS_STATISTICS): 1,
         (Module.DVS, Dvs.SIZE_COLUMNS): HEIGHT,
         (Module.DVS, Dvs.SIZE_ROWS): WIDTH,
@@ -196,15 +178,10 @@ _STATISTICS: Final = {
 
 
 class RegisterFile:
-    """All registers of one camera. Not thread safe: the device guards it.
-
-    Attributes:
-        writes: Number of registers that a host stored so far.
-    """
+    """All registers of one camera. Not thread safe: the device guards it."""
 
     def __init__(self) -> None:
         self._values = {**_POWER_UP, **_READ_ONLY}
-        self.writes = 0
 
     def read(self, module: int, param: int) -> int:
         """Return a register; what was never written and has no default reads 0."""
@@ -215,7 +192,6 @@ class RegisterFile:
         key = (module, param)
         if key not in _READ_ONLY and key not in _STATISTICS:
             self._values[key] = value & _MASK
-            self.writes += 1
 
     def statistic(self, module: int, param: int) -> int:
         """Return the 64-bit statistic whose upper half is at ``param``."""

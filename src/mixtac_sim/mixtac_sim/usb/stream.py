@@ -26,7 +26,6 @@ from mixtac_sim.usb.words import (
     Blocks,
     ImuReading,
     ImuSettings,
-    ReadoutSettings,
     WordEncoder,
     frame_blocks,
     imu_blocks,
@@ -250,20 +249,16 @@ class StreamAssembler:
         if not (run or self.snapshot) or frame.frame_start_us < self._oscillator.origin_us:
             return Blocks.empty()
         self.snapshot = False
-        return frame_blocks(frame, self._readout_settings())
 
-    def _readout_settings(self) -> ReadoutSettings:
         def read(param: int) -> int:
             return self._registers.read(Module.APS, param)
 
-        return ReadoutSettings(
-            region=(
-                *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
-                *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
-            ),
-            exposure_cycles=read(Aps.EXPOSURE),
-            global_shutter=bool(read(Aps.GLOBAL_SHUTTER)),
+        region = (
+            *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
+            *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
         )
+        cycles, shutter = read(Aps.EXPOSURE), bool(read(Aps.GLOBAL_SHUTTER))
+        return frame_blocks(frame, region, cycles, global_shutter=shutter)
 
     def imu_settings(self) -> ImuSettings:
         """Return what the registers ask of the inertial unit."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -321,21 +321,6 @@ _REGION_LOW: Final = 0x5200
 _SAMPLES_PER_BLOCK: Final = 58
 
 
-@dataclass(frozen=True, slots=True)
-class ReadoutSettings:
-    """The frame registers that shape a readout.
-
-    Attributes:
-        region: Start column, start row, end column, end row; inclusive, user orientation.
-        exposure_cycles: Exposure register [ADC cycles].
-        global_shutter: All reset columns before the exposure, all signal columns after it.
-    """
-
-    region: tuple[int, int, int, int]
-    exposure_cycles: int
-    global_shutter: bool
-
-
 def _column_words(columns: NDArray[np.uint16], special: int) -> NDArray[np.uint16]:
     words = np.empty((columns.shape[0], columns.shape[1] + 2), np.uint16)
     words[:, 0] = special
@@ -361,11 +346,14 @@ def _column_blocks(words: NDArray[np.uint16], start_us: NDArray[np.int64], span:
     )
 
 
-def _header(settings: ReadoutSettings) -> list[int]:
-    words = [_GLOBAL_START if settings.global_shutter else _ROLLING_START]
-    cycles = settings.exposure_cycles
-    words += [_EXPOSURE_WORD | (cycles >> shift & 0x3FF) for shift in (0, 10, 20)]
-    for value in settings.region:
+Region: TypeAlias = tuple[int, int, int, int]
+"""Start column, start row, end column, end row of a picture; inclusive, user orientation."""
+
+
+def _header(region: Region, exposure_cycles: int, *, global_shutter: bool) -> list[int]:
+    words = [_GLOBAL_START if global_shutter else _ROLLING_START]
+    words += [_EXPOSURE_WORD | (exposure_cycles >> shift & 0x3FF) for shift in (0, 10, 20)]
+    for value in region:
         words += [_REGION_HIGH | (value >> 8 & 0xFF), _REGION_LOW | (value & 0xFF)]
     return words
 
@@ -374,25 +362,29 @@ def _single(t: int, *words: int) -> Blocks:
     return Blocks.from_lists([t], [True], [list(words)])
 
 
-def frame_blocks(frame: ApsFrame, settings: ReadoutSettings) -> Blocks:
+def frame_blocks(
+    frame: ApsFrame, region: Region, exposure_cycles: int, *, global_shutter: bool
+) -> Blocks:
     """Lay a frame out as the camera reads it; times are those of the frame.
 
     Args:
         frame: The samples.
-        settings: Registers at the start of the frame.
+        region: What is read of the picture.
+        exposure_cycles: Exposure register [ADC cycles].
+        global_shutter: All reset columns before the exposure, all signal columns after it.
 
     Returns:
         Blocks in readout order; an empty region gives a frame without columns.
     """
     start, exposed = frame.frame_start_us, frame.exposure_start_us
     closed, end = frame.exposure_end_us, frame.frame_end_us
-    left, top, right, bottom = settings.region
+    left, top, right, bottom = region
     # A column of the readout is a row of the picture.
     part = slice(top, bottom + 1), slice(left, right + 1)
     resets = _column_words(frame.reset[part], _RESET_COLUMN)
     signals = _column_words(frame.signal[part], _SIGNAL_COLUMN)
     count = len(resets)
-    if settings.global_shutter:
+    if global_shutter:
         before, after = (exposed - start) / max(count, 1), (end - closed) / max(count, 1)
         reset_at, signal_at, spans = start, closed, (before, after)
     else:
@@ -409,7 +401,7 @@ def frame_blocks(frame: ApsFrame, settings: ReadoutSettings) -> Blocks:
     signal_t = signal_at + np.floor(index * after).astype(np.int64)
     return Blocks.merge(
         [
-            _single(start, *_header(settings)),
+            _single(start, *_header(region, exposure_cycles, global_shutter=global_shutter)),
             _column_blocks(resets, reset_t, spans[0]),
             _single(exposed, _EXPOSURE_START),
             _single(closed, _EXPOSURE_END),

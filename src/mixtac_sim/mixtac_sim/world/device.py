@@ -143,8 +143,6 @@ class DeviceModel:
             centre_px=(x + right, y + down),
             roll_rad=self.lens.roll_rad + conditions.camera_roll_rad,
         )
-        if lens == self.lens:
-            return self
         return replace(self, lens=lens, scene=build_scene(lens, self.lighting))
 
     def beads(

@@ -181,14 +181,9 @@ def unseen_devices(count: int, seed: int) -> list[int]:
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
+    seeds, level = (spec.device_seed, spec.trial_seed), named_preset(spec.preset)
     return simulate_trial(
-        spec.device_seed,
-        spec.trial_seed,
-        spec.profile,
-        spec.seconds,
-        sync=True,
-        preset=named_preset(spec.preset),
-        session=spec.session,
+        *seeds, spec.profile, spec.seconds, sync=True, preset=level, session=spec.session
     )
 
 

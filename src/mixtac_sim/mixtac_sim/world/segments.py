@@ -109,11 +109,6 @@ def still(count: int) -> Floats:
     return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, np.nan], (count, 1))
 
 
-def _movers(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """Return the segments with a motion or a pull across the normal."""
-    return tuple(each for each in segments if any(each.move) or any(each.roll) or each.pull)
-
-
 @dataclass(frozen=True, slots=True)
 class Profile:
     """Commands of a whole trial; outside its segments nothing touches.
@@ -135,7 +130,8 @@ class Profile:
     def __post_init__(self) -> None:
         """Collect the starts of the segments, to search among, and those that move."""
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
-        object.__setattr__(self, '_moving', _movers(self.segments))
+        moving = tuple(s for s in self.segments if any(s.move) or any(s.roll) or s.pull)
+        object.__setattr__(self, '_moving', moving)
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:

@@ -20,8 +20,6 @@ from mixtac_sim.bags.messages import TrialClocks, trial_messages
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
-from mixtac_sim.world.device import draw_conditions
-from mixtac_sim.world.effects import preset
 from mixtac_sim.world.trial import TrialStream
 
 SPEC = TrialSpec('press_one', 'press', 2.8, 11, 12, 'easy', 'train')
@@ -167,13 +165,6 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     near = np.abs(1e-9 * (times - clocks.epoch_ns) - expected) < 0.1
     measured = 1e-9 * (times[near][forces[near, 2].argmax()] - clocks.epoch_ns)
     assert abs(measured - expected) < 0.004
-
-
-def test_contact_truth_is_where_the_trial_touches(bag):
-    points = [m.point for _, _, m in bag.messages(TRUTH + 'contact')]
-    right, down = draw_conditions(SPEC.trial_seed, preset(SPEC.preset)).contact_mm
-    assert {(point.x, point.y) for point in points} == {(1e-3 * right, -1e-3 * down)}
-    assert 0.2e-3 < max(point.z for point in points) < 5e-3
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not():

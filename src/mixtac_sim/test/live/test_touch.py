@@ -57,15 +57,6 @@ def control(sensor):
 GESTURES = ('press', 'pull', 'slide', 'torsion', 'load', 'drop', 'vibrate', 'release')
 
 
-def test_a_press_reaches_its_force_and_goes_away(sensor, control):
-    control.touch(gesture='press', force=0.7, hold=1.0)
-    modes, targets = sensor.commands(2_000_000)
-    assert targets.max() == pytest.approx(0.7)
-    held = np.count_nonzero(np.isclose(targets, 0.7)) * STEP_US * 1e-6
-    assert held == pytest.approx(1.0, abs=0.02)
-    assert not modes[-100:].any()
-
-
 def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
     control.touch(gesture='slide', distance=1.5, hold=0.5)

@@ -57,13 +57,6 @@ def test_indenter_leaves_without_pulling():
     assert rest.depth_mm[-1] < 0.2 * away.depth_mm[-1]
 
 
-def test_advancing_in_pieces_is_advancing_at_once():
-    whole = run(0.4, Mode.DROP, 20.0, tool=1)
-    body = contact()
-    pieces = [run(0.1, Mode.DROP, 20.0, tool=1, body=body).force_n for _ in range(4)]
-    np.testing.assert_array_equal(np.concatenate(pieces), whole.force_n)
-
-
 MASS_KG = 1e-3 * WEIGHT_20_G.mass_g
 PAPER = preset('paper_like')
 

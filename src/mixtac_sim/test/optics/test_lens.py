@@ -132,9 +132,3 @@ def test_overlapping_beads_hide_each_other_as_layers_do():
     one, two = covered(0.8), covered(1.6)
     assert one == pytest.approx(1.0 - np.exp(-0.8), abs=0.02)
     assert 1.0 - two == pytest.approx((1.0 - one) ** 2, abs=0.02)
-
-
-def test_beads_without_overlap_are_apart_for_the_lens():
-    m = draw_device(7, preset('easy').without('optics')).markers
-    apart = np.hypot(m.x_mm[:, None] - m.x_mm, m.y_mm[:, None] - m.y_mm)
-    assert np.min(apart + 10.0 * np.eye(len(m.x_mm))) >= 0.95

@@ -18,13 +18,9 @@ from mixtac_sim.optics.scene import (
     Scene,
     build_scene,
 )
-from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 from mixtac_sim.pixels.dvs import Dvs
-from mixtac_sim.world.device import draw_device, draw_flicker
-from mixtac_sim.world.effects import EASY
-from mixtac_sim.world.profiles import make_profile
-from mixtac_sim.world.sensor import TactileSensor
+from mixtac_sim.world.device import draw_device
 
 
 def spots(*rows):
@@ -195,18 +191,3 @@ def test_mean_over_an_exposure():
     first, last = (turns * t + 2.0 * np.pi * 0.1 for t in (0.001, 0.008))
     expected = 1.0 + 0.2 * (np.cos(first) - np.cos(last)) / (turns * 0.007)
     assert lamp.mean(1_000.0, 8_000.0) == pytest.approx(expected, abs=1e-4)
-
-
-def test_frames_pulse_with_the_ripple_of_their_exposures():
-    light = type(EASY.light)(ripple=(0.3, 0.3), hot_pixels=(0, 1))
-    chosen = type(EASY)('rippling', light=light)
-    body = TactileSensor(
-        1, 2, make_profile('idle', 1, 1.0), ApsSettings(2_000, 23_000, 5_000), preset=chosen
-    )
-    frames = body.advance(300_000).frames
-    lamp = draw_flicker(2, light)
-    means = np.array([f.intensity.mean() for f in frames])
-    lit = np.array([lamp.mean(f.exposure_start_us, f.exposure_end_us) for f in frames])
-    assert np.ptp(lit) > 0.3
-    dark = 1.06  # DN of dark signal in 2 ms
-    np.testing.assert_allclose((means - dark) / lit, np.mean((means - dark) / lit), rtol=0.02)

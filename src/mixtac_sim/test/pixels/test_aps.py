@@ -35,14 +35,6 @@ def test_schedule_and_times():
         assert frame.frame_end_us - frame.exposure_end_us == READOUT_US
 
 
-def test_levels_are_those_of_a_ten_bit_converter():
-    frame = take(Aps(1, 2, 1.0, ApsSettings()), lambda _: 50.0)[0]
-    assert 900 < frame.reset.mean() < 1000
-    assert frame.reset.dtype == frame.signal.dtype == frame.intensity.dtype == np.uint16
-    # 50 lx for 7 ms at 1 DN/(lx ms), and a little dark signal.
-    assert frame.intensity.mean() == pytest.approx(350.0 + 3.7, rel=0.01)
-
-
 def test_response_is_linear_in_light_and_exposure():
     def mean(lux, exposure_us):
         aps = Aps(1, 2, 1.0, ApsSettings(exposure_us))

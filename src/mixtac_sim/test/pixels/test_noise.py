@@ -82,17 +82,6 @@ def test_simultaneous_events_take_80_ns_each_row_by_row():
     assert np.all(np.diff(events.y.astype(int)) >= 0)
 
 
-def test_full_flash_never_exceeds_the_pace():
-    readout, rng = Readout(*QUEUE), np.random.default_rng(1)
-    everyone = keys(np.zeros(89_960), np.arange(89_960))
-    parts = [readout.read(everyone, 0, 4_000_000, rng)]
-    parts += [readout.read(keys([], []), k * 4_000_000, 4_000_000, rng) for k in (1, 2)]
-    t = np.concatenate([part.t for part in parts])
-    assert len(t) == 89_960
-    assert np.bincount(t // 1000).max() <= 12_501
-    assert t[-1] - t[0] >= 7_190
-
-
 def test_pixel_that_waits_cannot_fire_again():
     readout = Readout(*QUEUE)
     crowd = keys(np.zeros(20_000), np.arange(20_000))

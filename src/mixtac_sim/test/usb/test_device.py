@@ -72,13 +72,6 @@ def test_registers_are_written_alone_or_together_and_read_only_ones_stay(device)
     assert (read(device, 6, 0), read(device, 1, 82)) == (18, 0)
 
 
-def test_exposure_and_interval_in_microseconds(device):
-    assert (device.exposure_us, device.frame_interval_us) == (4000, 40_000)
-    write(device, 2, 12, 241_920)
-    write(device, 2, 13, 604_800)
-    assert (device.exposure_us, device.frame_interval_us) == (8000, 20_000)
-
-
 @pytest.mark.parametrize(
     'request_',
     [

@@ -131,20 +131,6 @@ def fails(number, call, *arguments):
     assert failure.value.errno == number
 
 
-def test_control_works_while_a_read_waits(backend, device):
-    camera = find(backend)
-    camera.set_configuration()
-    start(camera)
-    results = []
-    thread = threading.Thread(target=lambda: results.append(bytes(camera.read(0x82, 64, 0))))
-    thread.start()
-    for _ in range(3):
-        assert bytes(camera.ctrl_transfer(0xC0, 0xBF, 6, 0, 4)) == struct.pack('>I', 18)
-    device.feed(np.array([1, 2], np.uint16))
-    thread.join(10.0)
-    assert results == [b'\1\0\2\0']
-
-
 def test_server_end_is_a_disconnect(server):
     camera = find(open_backend('virtual'))
     camera.set_configuration()

@@ -95,15 +95,6 @@ def test_timestamp_reset_restarts_time_at_zero():
     assert device.clock_origin_us == 50_200
 
 
-def test_camera_clock_runs_at_its_own_speed():
-    device = camera(skew_ppm=100.0)
-    device.submit(events_of([(1_000_000, 1, 2, True)]))
-    device.advance(2_000_000)
-    decoded = decode(drain(device))
-    assert decoded.events == [(1_000_100, 1, 2, True)]
-    assert len(decoded.wraps) == 2_000_200 // 0x8000
-
-
 @pytest.mark.parametrize('bit', [(MUX, 0), (MUX, 1), (USB, 0)])
 def test_no_data_unless_every_run_bit_is_set(bit):
     device = camera()

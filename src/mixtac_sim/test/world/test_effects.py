@@ -3,14 +3,13 @@
 """Presets: `easy` is what it always was, and every effect can be switched off."""
 
 import hashlib
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from mixtac_sim import SimulationError
-from mixtac_sim.world.effects import EASY, EFFECTS, OFF, PRESETS, preset
+from mixtac_sim.world.effects import EASY, EFFECTS, preset
 from mixtac_sim.world.instruments import ReferenceSensor
 from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
@@ -72,15 +71,6 @@ def test_easy_is_what_it_always_was(arguments):
     assert trial.reference_wrench.sum() == pytest.approx(pinned.reference, rel=1e-6)
     if maths() in MATHS:
         assert digest(trial) == pinned.digest
-
-
-@pytest.mark.parametrize('effect', EFFECTS)
-@pytest.mark.parametrize('name', PRESETS)
-def test_effects_can_be_switched_off(name, effect):
-    less = preset(name).without(effect)
-    assert less.name == f'{name} without {effect}'
-    assert getattr(less, effect) == getattr(OFF, effect)
-    assert replace(less, name=name, **{effect: getattr(preset(name), effect)}) == preset(name)
 
 
 def outcome(chosen):

@@ -97,15 +97,6 @@ def test_drift_saturates_at_the_deviation_of_its_process():
     assert np.abs(drifts).max() <= 6.0
 
 
-def test_drift_does_not_depend_on_how_it_is_asked_for():
-    t = np.linspace(0.0, 40.0, 801)
-    whole = Wander(np.random.default_rng(3), 30.0).at(t)
-    body = Wander(np.random.default_rng(3), 30.0)
-    parts = [body.at(t[a : a + 50]) for a in range(0, 801, 50)]
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
-    assert body.at(np.empty(0)).shape == (0, 6)
-
-
 BLOW_US = np.arange(1, 8_001) * 125
 
 
@@ -143,18 +134,6 @@ def test_a_mount_rings_in_pieces_as_in_the_whole():
     parts = [mount.swing(BLOW_US[a : a + 37], wrench[a : a + 37])[0] for a in range(0, 8_000, 37)]
     whole, _ = Mount(300.0, 0.03).swing(BLOW_US, wrench)
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12)
-
-
-def test_reference_rings_after_an_impact_where_asked_to():
-    loose = preset('hard').without('timing')
-
-    def after(chosen):
-        samples = ReferenceSensor(2, preset=chosen).process(BLOW_US, blow())
-        late = (samples.t_ns > 110_000_000) & (samples.t_ns < 160_000_000)
-        return samples.wrench[late, 2]
-
-    assert np.abs(after(loose)).max() > 0.04
-    assert np.abs(after(loose.without('impact'))).max() < 0.011
 
 
 def test_inertial_unit_feels_an_impact_and_nothing_before():

@@ -75,16 +75,6 @@ def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(na
     assert make_profile('touch', 4, 12.0).motion(0, 32) is None
 
 
-def test_handling_moves_every_way_while_it_presses_and_ends_where_it_began():
-    profile = make_profile('handling', 5, 20.0)
-    modes, targets, _ = commands(profile)
-    steps = profile.motion(0, len(modes))[:, :5]
-    assert steps.any(axis=0).all()
-    assert np.abs(steps.sum(axis=0)).max() < 1e-9
-    assert np.abs(np.cumsum(steps, axis=0))[:, [0, 1, 3, 4]].max() <= 2.0 + 1e-9
-    assert np.all(targets[steps.any(axis=1) & (modes == Mode.FORCE)] > 0.0)
-
-
 def test_a_hanging_mass_pulls_in_four_directions_and_rests_in_between():
     profile = make_profile('pulls', 3, 24.0)
     modes, targets, _ = commands(profile)

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.grids import cut_block
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
@@ -105,14 +104,6 @@ def test_settings_reach_pixels_and_frames():
     assert output.frames[0].exposure_end_us - output.frames[0].exposure_start_us == 3_000
 
 
-def test_blocks_are_cut_by_motion():
-    assert cut_block(np.zeros(32)) == [32]
-    assert cut_block(np.full(32, 1.0)) == list(range(1, 33))
-    travel = np.zeros(32)
-    travel[20] = 0.5
-    assert cut_block(travel) == [16, 20, 21, 22, 24, 32]
-
-
 def rubbed(move):
     press = Segment(0.1, 0.2, Mode.FORCE, (0.0, 0.1), (0.0, 0.6))
     held = Segment(0.2, 0.5, Mode.FORCE, (0.0,), (0.6,), move=move)
@@ -181,13 +172,6 @@ def test_symmetric_motion_gives_a_line_at_twice_the_drive(symmetric, frequency):
     drive, twice = lines(symmetric[frequency], frequency)
     assert twice > 100.0
     assert twice > 10.0 * drive
-
-
-def test_imbalance_of_the_thresholds_leaves_the_drive_itself(symmetric):
-    even, uneven = symmetric[60], shake(60, PixelSettings(0.2, 0.7, **QUIET))
-    drive, twice = lines(uneven, 60)
-    even_drive, even_twice = lines(even, 60)
-    assert drive / twice > 5.0 * even_drive / even_twice
 
 
 def test_bandwidth_takes_fast_vibration_away(symmetric):
