@@ -13,12 +13,11 @@ demo:  ## set up and run the live demo on the virtual sensor
 test: dev  ## set up and run all tests
 	. tools/env.sh && tools/test.sh $(ARGS)
 
-clients: dev  ## show the virtual camera to drivers of other people; needs umockdev of the system
+clients: dev  ## show the virtual camera to libcaer; needs umockdev of the system
 	$(PYTHON) -m venv .venv-clients
-	.venv-clients/bin/pip install --quiet -c constraints.txt numpy \
-		event-camera-drivers dv-processing
+	.venv-clients/bin/pip install --quiet -c constraints.txt numpy event-camera-drivers
 	. tools/env.sh && MIXTAC_CLIENT_PYTHON=$(CURDIR)/.venv-clients/bin/python \
-		python -m pytest -m clients src/mixtac_sim/test/usb $(ARGS)
+		python -m pytest -m umockdev src/mixtac_sim/test/usb $(ARGS)
 
 setup:  ## environment, ROS 2, workspace; does nothing when nothing changed
 	$(PYTHON) tools/setup.py

@@ -11,7 +11,7 @@ calculations=log/test_calculations.log
 
 # Linux may share its time among sessions first, and heeds niceness only within each: hence both.
 idle='echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 "$@"'
-calculation_tests=(env OMP_NUM_THREADS=1 python -m pytest -m 'not live and not clients' --timeout 900)
+calculation_tests=(env OMP_NUM_THREADS=1 python -m pytest -m 'not live' --timeout 900)
 calculation_tests+=(--dist loadgroup --no-loadscope-reorder --durations 25 --durations-min 5)
 setsid bash -c "$idle" idle "${calculation_tests[@]}" -n 2 "$@" >"$calculations" 2>&1 &
 calculating=$!
@@ -20,7 +20,7 @@ trap 'exit 130' INT TERM
 
 echo "calculations run in the background: $calculations"
 # In a worker, so that one that hangs in the middleware fails alone.
-live_tests=(python -m pytest -m 'live and not clients' -n 1 --no-loadscope-reorder --dist loadgroup)
+live_tests=(python -m pytest -m live -n 1 --no-loadscope-reorder --dist loadgroup)
 live_tests+=(-o cache_dir=.pytest_cache/live)
 live_tests+=(--durations 25 --durations-min 5)
 "${live_tests[@]}" "$@"

@@ -152,7 +152,9 @@ def test_camera_that_is_ill_when_plugged_in_is_opened_when_it_is_well(rig, kind,
 
 
 def test_another_camera_in_its_place_is_taken_and_identified(rig):
-    rig.device.unplug(0.1, 'V0000099')
+    rig.device.unplug()
+    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.device.plug_in('V0000099')
     rig.wait_until(lambda: rig.supervisor.reconnects)
     assert 'DisconnectedError' in rig.supervisor.failures_by_kind
     assert rig.camera.identity.serial == 'V0000099'

@@ -22,7 +22,6 @@ import numpy as np
 from numba import njit
 
 from mixtac_core.events.arrays import Floats
-from mixtac_sim import SimulationError
 
 JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))
 A_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
@@ -175,7 +174,9 @@ class JointTrajectoryController:
         self._first_cycle_s = now_s
         self._cycles = 0
         self._pending: Trajectory | None = None
-        self._active: _Active | None = None
+        # The trajectory being carried out: times [point] [s] and states [point, 3, joint], of which
+        # the first is the state before it.
+        self._times, self._states = np.empty(0), np.empty((0, 3, len(q)))
 
     def accept(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Receive a message; it takes effect at the next cycle, unless another overtakes it.
@@ -211,17 +212,27 @@ class JointTrajectoryController:
         return self._first_cycle_s + self._cycles * CYCLE_S
 
     def _cycle(self, now_s: float) -> None:
-        """Run one control cycle."""
+        """Run one control cycle, whose command is that of the next cycle."""
+        t_s = now_s + CYCLE_S
         if self._pending is not None:
-            self._active = _Active(self._pending, self._command, self._command_s, now_s)
+            new = self._pending
+            start_s = new.stamp_s if new.stamp_s != 0.0 else now_s
+            self._times = np.append(self._command_s, start_s + new.times_s)
+            states = np.stack([new.q, new.dq, new.ddq], axis=1)
+            self._states = np.concatenate([self._command[None], states])
             self._pending = None
-        if self._active is None:
-            # Since its activation it holds a position, which is a trajectory like any other.
-            self._command_s = now_s + CYCLE_S
+        times, states = self._times, self._states
+        if len(times) and t_s < times[0] - START_EPSILON_S:
             return
-        sampled = self._active.at(now_s + CYCLE_S)
-        if sampled is not None:
-            self._command, self._command_s = sampled, now_s + CYCLE_S
+        if len(times) and t_s >= times[-1]:
+            self._command = np.array(states[-1])
+        elif len(times):
+            # Before its first point the motion starts from the last command.
+            k = int(np.searchsorted(times[1:], t_s, side='right'))
+            span_s, since_s = times[k + 1] - times[k], t_s - times[k]
+            self._command = interpolate(states[k], states[k + 1], span_s, since_s)
+        # Since its activation it holds a position, which is a trajectory like any other.
+        self._command_s = t_s
 
     def _reason_against(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Return why the controller would reject a message."""
@@ -241,39 +252,6 @@ class JointTrajectoryController:
         return 'velocity at the end is not zero' if moving else None
 
 
-class _Active:
-    """A trajectory being carried out.
-
-    Args:
-        fields: The message.
-        before: Position, velocity and acceleration before it [3, joint].
-        before_s: Time of that state [s].
-        now_s: Time of the first cycle that sees it [s].
-    """
-
-    def __init__(self, fields: Trajectory, before: Floats, before_s: float, now_s: float) -> None:
-        self._before = before
-        self._before_s = before_s
-        start = fields.stamp_s if fields.stamp_s != 0.0 else now_s
-        self._times = start + np.asarray(fields.times_s, np.float64)
-        self._states = np.stack([fields.q, fields.dq, fields.ddq], axis=1)
-
-    def at(self, t_s: float) -> Floats | None:
-        """Return the state [3, joint] at a time [s]; None before it has begun."""
-        if t_s < self._before_s - START_EPSILON_S:
-            return None
-        if t_s < self._times[0]:
-            ends, states = (self._before_s, self._times[0]), (self._before, self._states[0])
-        elif t_s >= self._times[-1]:
-            return np.array(self._states[-1])
-        else:
-            k = int(np.searchsorted(self._times, t_s, side='right')) - 1
-            ends = (self._times[k], self._times[k + 1])
-            states = (self._states[k], self._states[k + 1])
-        since_s, span_s = t_s - ends[0], ends[1] - ends[0]
-        return np.asarray(interpolate(states[0], states[1], span_s, since_s))
-
-
 TRACKING_LAG_S = 3.5e-3
 """Time constant of the arm's own position control [s]: 3 to 4 ms were seen on libfranka's wire
 protocol in simulation, 40 ms with the effort controller that franka_ros2 ships."""
@@ -286,14 +264,9 @@ class LaggingArm:
         q: Joint positions at the start [7] [rad].
         normal: Direction of the fingertip's advance in the base frame [3], of length 1.
         lag_s: Time constant of the lag [s].
-
-    Raises:
-        SimulationError: The lag is negative.
     """
 
     def __init__(self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S) -> None:
-        if lag_s < 0.0:
-            raise SimulationError(f'tracking lag of {lag_s} s; give 0 or more')
         self._q = np.array(q, np.float64)
         self._keep = float(np.exp(-CYCLE_S / lag_s)) if lag_s > 0.0 else 0.0
         self._normal = normal

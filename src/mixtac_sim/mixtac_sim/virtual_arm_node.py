@@ -23,7 +23,6 @@ from mixtac_sim.arm import (
     JointTrajectoryController,
     LaggingArm,
     Trajectory,
-    violations,
     warm_up,
 )
 from mixtac_sim.parameters import VirtualArmParameters
@@ -34,8 +33,6 @@ MAX_CATCH_UP_S = 60.0
 """A longer gap is a clock that was set (simulated time has begun): the arm rests after it [s]."""
 STATE_PERIOD_S = 4e-3
 """Period of the joint states [s]."""
-LIMITS_SEEN = 4
-"""Commands that a jerk is computed from."""
 
 
 class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
@@ -53,9 +50,8 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             warm_up()
         self._controller = JointTrajectoryController()
         self._arm = LaggingArm(READY, SIDEWAYS)
-        self._recent: list[Floats] = []
         self._first_s, self._cycles = BEFORE_S, 0
-        self._accepted = self._rejected = self._violations = 0
+        self._accepted = self._rejected = 0
         self._problem = ''
         # Seconds since 1970 would round a cycle of 1 ms by 0.02 %, which looks like a jerk.
         self._origin_ns = self.get_clock().now().nanoseconds
@@ -72,7 +68,6 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
 
     def _restart(self, q: Floats, now_s: float) -> None:
         """Stand still from now on."""
-        self._recent = []
         self._first_s, self._cycles = now_s, 0
         self._controller.reset(q, now_s)
 
@@ -103,11 +98,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             self._restart(held, BEFORE_S)
         now_s = self._seconds(now_ns)
         while self._cycle_s <= now_s:
-            command = self._controller.sample(self._cycle_s)[0]
-            self._recent = [*self._recent[-LIMITS_SEEN + 1 :], command]
-            if len(self._recent) == LIMITS_SEEN:
-                self._violations += violations(np.stack(self._recent), CYCLE_S) > 0
-            self._arm.track(command)
+            self._arm.track(self._controller.sample(self._cycle_s)[0])
             self._cycles += 1
         return now_s
 
@@ -121,15 +112,13 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         self._states.publish(message)
 
     def _status(self) -> Status:
-        bad = self._rejected or self._violations
         return Status(
-            WARN if bad else OK,
+            WARN if self._rejected else OK,
             f'SIMULATED arm{"; " + self._problem if self._problem else ""}',
             {
                 'simulated': True,
                 'trajectories_accepted': self._accepted,
                 'trajectories_rejected': self._rejected,
-                'limit_violations': self._violations,
             },
         )
 

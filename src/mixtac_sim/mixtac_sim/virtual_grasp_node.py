@@ -11,7 +11,6 @@ slow down as well.
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from threading import Event, Thread
 
@@ -31,7 +30,7 @@ from mixtac_sim.arm import JOINT_NAMES, SIDEWAYS, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.grids import stream
-from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor
+from mixtac_sim.live.virtual_sensor import make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
@@ -69,8 +68,22 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._force_pace = AnswerPace(ARM_AHEAD_US)
         paces = (self._slip_pace, self._arm_pace, self._force_pace)
         self._time = PacedClock(paces if settings.publish_clock else ())
-        self._reported = (0, time.monotonic())
-        self._grasp, self._sensor = _make(settings, self._time)
+        level = preset(settings.preset)
+        self._grasp = LiveGrasp(
+            draw_setup(
+                settings.object, stream(settings.seed, 'virtual grasp'), margin=settings.margin
+            ),
+            *(settings.device_seed, settings.seed, level, self._time),
+            open_first=not settings.publish_force,
+        )
+        self._sensor = make_virtual_sensor(
+            device_seed=settings.device_seed,
+            seed=settings.seed,
+            skew_ppm=settings.skew_ppm,
+            preset=level,
+            simulation=self._grasp,
+            clock=self._time,
+        )
         self._wire(settings)
         self._sensor.start()
         # The first step compiles: a driver that came before would see time stand still.
@@ -174,45 +187,18 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         state = self._sensor.state()
         if not state.running:
             return Status(ERROR, 'SIMULATED grasp, stopped by an internal error: see the log', {})
-        speed = self._speed()
         return Status(
             OK,
-            f'SIMULATED grasp of a {self._settings.object}, at {speed:.0%} of real time',
+            f'SIMULATED grasp of a {self._settings.object}',
             {
                 'simulated': True,
                 'grasp_force': self._grasp.grasp_n,
                 'object_mm': self._grasp.object_mm,
                 'knocks': self._knocks,
-                'real_time_factor': speed,
                 'lost_s': 1e-6 * self._time.lost_us,
-                'answers_late_s': 1e-6 * self._slip_pace.lag_us,
                 'socket': self._server.path,
             },
         )
-
-    def _speed(self) -> float:
-        """Return simulated over host time since the last call."""
-        before_us, before_s = self._reported
-        self._reported = now_us, now_s = self._time.now_us(), time.monotonic()
-        return 1e-6 * (now_us - before_us) / max(now_s - before_s, 1e-3)
-
-
-def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGrasp, VirtualSensor]:
-    """Return the grasp and the sensor that runs it."""
-    level = preset(settings.preset)
-    rng = stream(settings.seed, 'virtual grasp')
-    setup = draw_setup(settings.object, rng, margin=settings.margin)
-    drawn = settings.device_seed, settings.seed, level, clock
-    grasp = LiveGrasp(setup, *drawn, open_first=not settings.publish_force)
-    sensor = make_virtual_sensor(
-        device_seed=settings.device_seed,
-        seed=settings.seed,
-        skew_ppm=settings.skew_ppm,
-        preset=level,
-        simulation=grasp,
-        clock=clock,
-    )
-    return grasp, sensor
 
 
 main = partial(run, VirtualGraspNode)

@@ -46,8 +46,8 @@ from mixtac_sim.arm import (
 )
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
 from mixtac_sim.world.plans import TrialSpec
+from mixtac_sim.world.profiles import PULL_WAYS, PULLED_G
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner

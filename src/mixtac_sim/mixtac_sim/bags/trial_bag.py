@@ -10,32 +10,20 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
 
 import joblib
-import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from mixtac_core.node import topics
-from mixtac_core.node.topics import Topic
-from mixtac_core.recordings.bag import blank_message
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_sim.bags.camera import (
-    NS,
-    BagMessage,
-    CameraMessages,
-    MessageSink,
-    StampedRows,
-    TrialClocks,
-)
-from mixtac_sim.usb.endpoints import serial_number
-from mixtac_sim.world.sensor import truth_wrench
-from mixtac_sim.world.trial import Stretch, TrialStream
+from mixtac_sim.bags.messages import trial_messages
+from mixtac_sim.world.trial import TrialStream
 
 NAMESPACE: Final = 'mixtac'
 BAG_TOPICS: Final = (
@@ -51,88 +39,8 @@ BAG_TOPICS: Final = (
     *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH, topics.TRUTH_CONTACT, topics.TRUTH_CLOCK_FIT),
 )
 """Topics in the order in which they are announced in the bag."""
-BATCH_NS: Final = 4_000_000
-"""The virtual sensor publishes every 4 ms."""
-
-
-class TruthMessages:
-    """Makes the messages of truth and reference of a trial.
-
-    Args:
-        trial: The trial.
-        clocks: Clocks of the trial.
-        sink: Takes the messages.
-    """
-
-    def __init__(self, trial: TrialStream, clocks: TrialClocks, sink: MessageSink) -> None:
-        self._trial, self._clocks, self._sink = trial, clocks, sink
-        self._reference = _rows(topics.REFERENCE_WRENCH, topics.REFERENCE_FRAME, 6)
-        self._wrenches = _rows(topics.TRUTH_WRENCH, topics.CONTACT_FRAME, 6)
-        self._points = _rows(topics.TRUTH_CONTACT, topics.CONTACT_FRAME, 3)
-
-    def begin(self) -> None:
-        """Make the true relation of the clocks, which is published once."""
-        clocks, reference = self._clocks, self._trial.reference
-        message = blank_message(topics.TRUTH_CLOCK_FIT.type_name)
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(clocks.epoch_ns, NS)
-        message.a, message.b = clocks.reference_rate(reference), reference.offset_s
-        message.camera_epoch = message.reference_epoch = 1e-9 * clocks.epoch_ns
-        message.method, message.message = 'simulation', 'true relation of the clocks'
-        self._sink.put(clocks.epoch_ns, topics.TRUTH_CLOCK_FIT.name, message)
-
-    def add(self, stretch: Stretch) -> None:
-        """Make the messages of the next stretch."""
-        received_ns = int(self._clocks.to_host_ns(np.array(stretch.end_us, np.int64)))
-        self._add_truth(stretch)
-        self._add_reference(stretch, received_ns)
-
-    def _add_truth(self, stretch: Stretch) -> None:
-        truth = stretch.sensor.truth
-        stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64))
-        received = (-(-stamps_ns // BATCH_NS) * BATCH_NS).tolist()
-        point = np.zeros((len(truth), 3))
-        right, down = self._trial.contact_mm
-        point[:, 0], point[:, 1], point[:, 2] = 1e-3 * right, -1e-3 * down, 1e-3 * truth['depth_mm']
-        put = self._sink.put_rows
-        put(received, topics.TRUTH_WRENCH.name, self._wrenches.make(stamps_ns, truth_wrench(truth)))
-        put(received, topics.TRUTH_CONTACT.name, self._points.make(stamps_ns, point))
-
-    def _add_reference(self, stretch: Stretch, latest_ns: int) -> None:
-        samples, sensor = stretch.reference, self._trial.reference
-        true_ns = (samples.t_ns - 1e9 * sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
-        taken_ns = self._clocks.epoch_ns + true_ns.astype(np.int64)
-        received = np.minimum(-(-taken_ns // BATCH_NS) * BATCH_NS, latest_ns).tolist()
-        data = self._reference.make(self._clocks.epoch_ns + samples.t_ns, samples.wrench)
-        self._sink.put_rows(received, topics.REFERENCE, data)
-
-
-def _rows(topic: Topic, frame: str, numbers: int) -> StampedRows:
-    message = blank_message(topic.type_name)
-    message.header.frame_id = frame
-    return StampedRows(message, numbers)
-
-
 UNFINISHED: Final = '.unfinished'
 """Folder of half-written bags beside the finished ones."""
-
-
-def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
-    """Simulate a trial and yield its messages in the order of their reception.
-
-    Args:
-        trial: A trial that has not begun.
-    """
-    spec, sink = trial.spec, MessageSink()
-    clocks = TrialClocks(spec.trial_seed)
-    camera = CameraMessages(clocks, sink, serial_number(spec.device_seed))
-    truth = TruthMessages(trial, clocks, sink)
-    truth.begin()
-    for stretch in trial.stretches():
-        camera.add(stretch)
-        truth.add(stretch)
-        yield from sink.take(clocks.epoch_ns + 1000 * stretch.end_us)
-    yield from sink.take(1 << 63)
 
 
 def is_finished(folder: Path, name: str) -> bool:

@@ -43,9 +43,6 @@ class AnswerPace:
         patience_s: Host time without an answer after which time runs freely [s]: longer than a
             process waits for its turn on a busy host, or than it takes to enable slip control.
         monotonic: The host's monotonic clock [s].
-
-    Attributes:
-        lag_us: Simulated time by which the last answer was late [us].
     """
 
     def __init__(
@@ -60,7 +57,6 @@ class AnswerPace:
         self._origin_us: int | None = None
         self._answered_us = 0
         self._heard_s = -math.inf
-        self.lag_us = 0
 
     def answer(self, stamp_us: int, now_us: int) -> None:
         """Register an answer.
@@ -74,7 +70,6 @@ class AnswerPace:
             self._origin_us = origin_us
         self._origin_us = max(self._origin_us, origin_us)
         self._answered_us = stamp_us - self._origin_us
-        self.lag_us = now_us - self._answered_us
         self._heard_s = self._monotonic()
 
     def limit_us(self) -> int | None:

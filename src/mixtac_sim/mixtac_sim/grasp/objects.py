@@ -156,16 +156,6 @@ class GraspSetup:
     knock_s: float
     stiffness_n_per_mm: float | None = None
 
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            SimulationError: A mass, margin or time that is not positive.
-        """
-        if min(self.mass_g, self.n_per_mm, self.wall_mu, self.margin, self.pulse_s) <= 0.0:
-            msg = f'{self}: mass, stiffness, friction, margin and pulse must be > 0'
-            raise SimulationError(msg)
-
     @property
     def weight_n(self) -> float:
         """Return the object's weight [N]."""
@@ -211,32 +201,23 @@ def draw_setup(
     kind = OBJECTS[name]
     mass = rng.uniform(*kind.mass_g)
     share = rng.uniform(*TRANSMITTED)
+    # Spreads of the friction are estimates.
     return GraspSetup(
         name=name,
         mass_g=mass,
         n_per_mm=rng.uniform(*kind.n_per_mm),
-        friction=draw_friction(rng, kind.mu),
+        friction=Friction(
+            mu=rng.uniform(*kind.mu),
+            rate=rng.uniform(0.008, 0.016),
+            ageing=rng.uniform(0.018, 0.026),
+            slip_mm=log_uniform(rng, (3e-3, 0.05)),
+            roughness=rng.uniform(0.03, 0.08),
+            grain_mm=rng.uniform(0.08, 0.3),
+        ),
         wall_mu=rng.uniform(*kind.wall_mu),
         margin=margin,
         knock_mm_s=1e6 * share * WEIGHT_IMPULSE_N_S / mass if knock_mm_s is None else knock_mm_s,
         pulse_s=kind.pulse_s,
         knock_s=knock_s,
         stiffness_n_per_mm=stiffness_n_per_mm,
-    )
-
-
-def draw_friction(rng: np.random.Generator, mu: tuple[float, float] = (0.6, 1.0)) -> Friction:
-    """Return the friction of some object on the skin (spreads are estimates).
-
-    Args:
-        rng: Draws it.
-        mu: Range of the coefficient at 1 mm/s.
-    """
-    return Friction(
-        mu=rng.uniform(*mu),
-        rate=rng.uniform(0.008, 0.016),
-        ageing=rng.uniform(0.018, 0.026),
-        slip_mm=log_uniform(rng, (3e-3, 0.05)),
-        roughness=rng.uniform(0.03, 0.08),
-        grain_mm=rng.uniform(0.08, 0.3),
     )

@@ -26,7 +26,7 @@ from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, force_law,
 from mixtac_sim.optics.scene import Markers
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera
-from mixtac_sim.world.device import Conditions, DeviceModel
+from mixtac_sim.world.device import Conditions, DeviceModel, draw_flicker
 from mixtac_sim.world.effects import Preset
 
 RINGS = ((0.0, 1), (0.4, 5), (0.8, 10))
@@ -140,11 +140,6 @@ class Skin:
         """Set the state of a skin that has borne a pull [N] for a time [s]."""
         self.shear_mm[:] = pull_n / self.stiffness.sum()
         self.age_s[:] = rest_s
-
-    @property
-    def pull_n(self) -> float:
-        """Return the tangential force on the object [N]."""
-        return float(np.dot(self.stiffness, self.shear_mm))
 
     def patches(self) -> Patches:
         """Return state, gel, surface and friction as the kernel ``slide`` takes them."""
@@ -430,7 +425,8 @@ class SkinCamera:
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()
         spots = self._place(self._elastic_n)
-        self._camera = Camera(device, conditions, preset, seed, spots, self._elastic_n)
+        flicker = draw_flicker(seed, preset.light)
+        self._camera = Camera(device, conditions, preset, seed, spots, flicker, self._elastic_n)
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels
 

@@ -132,22 +132,16 @@ class SensorState:
     """Figures for diagnostics.
 
     Attributes:
-        simulated_us: Progress of the simulation [us, simulated time].
         running: Whether the threads of the sensor are alive.
-        ahead_us: How far the simulation is ahead of the clock [us].
-        late_us: Delay of the output behind the clock [us].
         overruns: Number of times the host could not keep up and time stopped.
         lost_us: Total time for which it stopped [us]: stamps of the camera and the reference lie as
             far in the past.
         playing: Whether a scenario is under way.
         streaming: Whether a host reads the camera.
-        batches_dropped: Batches of truth or reference that were not fetched in time.
+        batches_dropped: Batches of truth that were not fetched in time.
     """
 
-    simulated_us: int
     running: bool
-    ahead_us: int
-    late_us: int
     overruns: int
     lost_us: int
     playing: bool
@@ -188,16 +182,14 @@ class VirtualSensor:
         self._ahead_until_us = 0
         self._overruns = 0
         self._late = False
-        self._settings_version = (0, 0)
+        self._settings_version = 0
         self._aps = (0, 0)
-        self._biases: dict[int, int] = {}
         self._pixels = PixelSettings()
         # Truth and samples of the reference that are known up to a simulated time [us].
         self._pending: deque[tuple[int, NDArray[Any], WrenchSamples]] = deque()
-        self._lock = Lock()
         self._simulating = Lock()
-        self._truth: deque[WrenchSamples] = deque()
-        self._references: deque[WrenchSamples] = deque()
+        self._truth: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
+        self._references: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
         self._dropped = 0
         self._stop = Event()
         self._threads: list[Thread] = []
@@ -256,20 +248,17 @@ class VirtualSensor:
 
     def take_truth(self) -> list[WrenchSamples]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""
-        return self._take(self._truth)
+        return [self._truth.popleft() for _ in range(len(self._truth))]
 
     def take_reference(self) -> list[WrenchSamples]:
         """Return the samples of the reference sensor since the last call, on its own clock."""
-        return self._take(self._references)
+        return [self._references.popleft() for _ in range(len(self._references))]
 
     def state(self) -> SensorState:
         """Return figures for diagnostics."""
         end_us = self._profile.end_us()
         return SensorState(
-            simulated_us=self._simulated_us,
             running=bool(self._threads) and all(thread.is_alive() for thread in self._threads),
-            ahead_us=max(0, self._simulated_us - self._clock.now_us()),
-            late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
@@ -339,10 +328,7 @@ class VirtualSensor:
         self._settings_version = version
         self._follow_aps()
         biases = {place: self.device.register(Module.BIAS, place) for place in DEFAULT_REGISTERS}
-        if biases == self._biases:
-            return
-        self._biases = biases
-        pixels = PixelSettings.from_biases(biases, PixelSettings())
+        pixels = PixelSettings.from_biases(biases)
         if pixels != self._pixels:
             self._pixels = pixels
             self._simulation.configure_pixels(pixels)
@@ -372,22 +358,10 @@ class VirtualSensor:
         while self._pending and self._pending[0][0] <= until_us:
             _, truth, samples = self._pending.popleft()
             stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
-            self._put(self._truth, WrenchSamples(stamp_ns, truth_wrench(truth)))
+            self._dropped += len(self._truth) == MOST_BATCHES
+            self._truth.append(WrenchSamples(stamp_ns, truth_wrench(truth)))
             stamp_ns = samples.t_ns + self._clock.start_epoch_ns
-            self._put(self._references, WrenchSamples(stamp_ns, samples.wrench))
-
-    def _put(self, queue: deque[WrenchSamples], batch: WrenchSamples) -> None:
-        with self._lock:
-            queue.append(batch)
-            if len(queue) > MOST_BATCHES:
-                queue.popleft()
-                self._dropped += 1
-
-    def _take(self, queue: deque[WrenchSamples]) -> list[WrenchSamples]:
-        with self._lock:
-            batches = list(queue)
-            queue.clear()
-        return batches
+            self._references.append(WrenchSamples(stamp_ns, samples.wrench))
 
 
 class SimulationProcess:
@@ -437,7 +411,7 @@ class SimulationProcess:
         Raises:
             SimulationError: The process has ended.
         """
-        plays = self._profile.changes(until_us)
+        plays = self._profile.changes()
         calls, self._calls = self._calls, []
         try:
             self._pipe.send((plays, calls, until_us))

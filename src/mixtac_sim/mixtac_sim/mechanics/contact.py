@@ -222,17 +222,9 @@ class Contact:
         """
         path = np.empty((4, len(modes)))
         _advance(
-            self._state,
-            self._last_mode,
-            self._branches,
-            self._updates,
-            self._tables,
-            self._steps,
-            self._masses,
-            modes,
-            targets,
-            indenters,
-            path,
+            *(self._state, self._last_mode, self._branches, self._updates),
+            *(self._tables, self._steps, self._masses),
+            *(modes, targets, indenters, path),
         )
         return ContactPath(*path)
 

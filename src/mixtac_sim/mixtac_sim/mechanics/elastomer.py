@@ -55,18 +55,15 @@ INDENTERS: Mapping[str, Indenter] = MappingProxyType(
     }
 )
 """Indenters of trials by name; all but the hemisphere are choices."""
-WEIGHTS: Final[Mapping[str, Indenter]] = MappingProxyType(
+LIVE_INDENTERS: Final[Mapping[str, Indenter]] = MappingProxyType(
     {
+        **{name.replace(' ', '_'): tool for name, tool in INDENTERS.items()},
         'weight_20_g': WEIGHT_20_G,
         'weight_50_g': Indenter('flat', WEIGHT_20_G.radius_mm, mass_g=50.0),
         'ball_5_g': Indenter('sphere', 9.0, mass_g=5.0),
     }
 )
-"""Objects that can be put down or dropped; the last two are choices."""
-LIVE_INDENTERS: Final[Mapping[str, Indenter]] = MappingProxyType(
-    {**{name.replace(' ', '_'): tool for name, tool in INDENTERS.items()}, **WEIGHTS}
-)
-"""All objects by name."""
+"""All objects by name; those with a mass can be put down or dropped, the last two are choices."""
 
 
 DEPTHS = 2049
@@ -263,7 +260,5 @@ class Shear:
 
     def limit(self, force_n: Floats) -> Floats:
         """Return the largest pull that friction bears under normal forces [n] [N]."""
-        if self._friction_load == 0.0:
-            return self._friction * force_n
         load = np.maximum(force_n, LIGHT_N) ** -self._friction_load
         return np.asarray(self._friction * load * force_n)

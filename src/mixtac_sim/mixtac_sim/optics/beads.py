@@ -17,12 +17,10 @@ from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, sheared_area
 from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge
-from mixtac_sim.optics.scene import DIAMETER_MM, Lens, Markers
+from mixtac_sim.optics.scene import DIAMETER_MM, SAG_MM, Lens, Markers
 
 ROWS = 193
 """Rows of the displacement tables."""
-SAG_MM = 8.0
-"""Radius of the mesh's sag [mm] (estimate)."""
 AS_SHEAR = np.empty(0)
 """All beads follow the same displacement of the skin."""
 

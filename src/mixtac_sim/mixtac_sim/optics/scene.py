@@ -1,10 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The scene and the lens before it: lamp, flicker, black skin, steel mesh, and beads at rest."""
+"""The scene and the lens before it: lamp, flicker, skin, mesh and beads, at rest and in motion.
+
+Beads are blurred discs in a sum kept in fixed point, so removing a disc restores every bit of what
+was there before: only beads that moved are redrawn, and no error grows. The pixels
+(`mixtac_sim.pixels.dvs`) compute how the sum covers the background.
+
+The light of the mesh is tabulated over its sag and blended between the tables, as its wires move by
+less than their blur from one table to the next.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +21,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Floats
-from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PITCH_MM, PIXELS, STEP_US, WIDTH, stream
+from mixtac_sim.grids import (
+    HEIGHT,
+    PADDED,
+    PITCH_MM,
+    PIXELS,
+    TILE,
+    TILES,
+    WIDTH,
+    stream,
+)
 
 SILICONE_INDEX = 1.41
 """Refractive index of the layer: it looks shallower by this factor."""
@@ -81,20 +99,22 @@ class Lens:
         gain = self.image_distance_px * (1.0 + self.k1 * square + self.k2 * square**2)
         return self.centre_px[0] + gain * slope_x, self.centre_px[1] + gain * slope_y
 
-    def pixel_slopes(self) -> tuple[Floats, Floats]:
-        """Return the slopes of the rays of all pixels, x and y [260, 346], distortion undone."""
-        rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float64)
-        bent_x = (columns - self.centre_px[0]) / self.image_distance_px
-        bent_y = (rows - self.centre_px[1]) / self.image_distance_px
-        bent = np.hypot(bent_x, bent_y)
-        straight = bent.copy()
-        for _ in range(20):
-            square = straight**2
-            straight = bent / (1.0 + self.k1 * square + self.k2 * square**2)
-        stretch = straight / np.maximum(bent, 1e-12)
-        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
-        turned_x, turned_y = bent_x * stretch, bent_y * stretch
-        return cos * turned_x + sin * turned_y, cos * turned_y - sin * turned_x
+
+@lru_cache(maxsize=2)
+def pixel_slopes(lens: Lens) -> tuple[Floats, Floats]:
+    """Return the slopes of the rays of all pixels, x and y [260, 346], distortion undone."""
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float64)
+    bent_x = (columns - lens.centre_px[0]) / lens.image_distance_px
+    bent_y = (rows - lens.centre_px[1]) / lens.image_distance_px
+    bent = np.hypot(bent_x, bent_y)
+    straight = bent.copy()
+    for _ in range(20):
+        square = straight**2
+        straight = bent / (1.0 + lens.k1 * square + lens.k2 * square**2)
+    stretch = straight / np.maximum(bent, 1e-12)
+    cos, sin = np.cos(lens.roll_rad), np.sin(lens.roll_rad)
+    turned_x, turned_y = bent_x * stretch, bent_y * stretch
+    return cos * turned_x + sin * turned_y, cos * turned_y - sin * turned_x
 
 
 DIAMETER_MM = 0.8
@@ -161,6 +181,8 @@ MESH_PITCH_MM = 1.08
 """Aperture 0.9 mm and wire 0.18 mm (paper, section 3.1)."""
 MESH_WIRE_MM = 0.18
 """Thickness of the wires [mm] (paper)."""
+SAG_MM = 8.0
+"""Radius of the mesh's sag [mm] (estimate)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,43 +228,33 @@ class Scene(NamedTuple):
     gain: NDArray[np.float32]
 
 
-def build_scene(lens: Lens, lighting: Lighting) -> Scene:
-    """Return the light on the array for a device at rest.
-
-    The mesh lies on the camera's side of the beads and hides them.
-    """
-    return build_sagging(lens, lighting, (0.0, 0.0), np.zeros(1), 1.0)[0]
-
-
-def build_sagging(
+def build_scene(
     lens: Lens,
     lighting: Lighting,
-    contact_mm: tuple[float, float],
-    sags_mm: Floats,
-    reach_mm: float,
-) -> list[Scene]:
-    """Return the light on the array as the mesh sags towards the camera.
+    contact_mm: tuple[float, float] = (0.0, 0.0),
+    sag_mm: float = 0.0,
+) -> Scene:
+    """Return the light on the array.
+
+    The mesh lies on the camera's side of the beads and hides them; under load it sags towards the
+    camera.
 
     Args:
         lens: The lens.
         lighting: Light and mesh.
         contact_mm: Where the mesh sags most, from the optical axis [mm].
-        sags_mm: Largest sags [mm].
-        reach_mm: Distance over which the sag falls to 1 / e [mm].
+        sag_mm: Largest sag [mm].
     """
-    slope_x, slope_y = lens.pixel_slopes()
+    slope_x, slope_y = pixel_slopes(lens)
     light = _light(lens, lighting, slope_x, slope_y)
     far = float(lens.distance_mm(lens.thickness_mm))
     away = np.hypot(far * slope_x - contact_mm[0], far * slope_y - contact_mm[1])
-    shape = np.exp(-((away / reach_mm) ** 2))
-    scenes = []
-    for sag in sags_mm:
-        open_share = _open_share(lens, lighting, slope_x, slope_y, sag * shape)
-        wires = lighting.wire * (1.0 - open_share)
-        floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
-        gain = light * open_share * (lighting.bead - lighting.skin)
-        scenes.append(Scene(_padded(floor), _padded(gain)))
-    return scenes
+    sag = sag_mm * np.exp(-((away / SAG_MM) ** 2))
+    open_share = _open_share(lens, lighting, slope_x, slope_y, sag)
+    wires = lighting.wire * (1.0 - open_share)
+    floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
+    gain = light * open_share * (lighting.bead - lighting.skin)
+    return Scene(_padded(floor), _padded(gain))
 
 
 def _padded(image: Floats) -> NDArray[np.float32]:
@@ -287,62 +299,150 @@ def _wire_cover(place_mm: Floats, blur_mm: Floats | float, wire_mm: float) -> Fl
     return np.clip((far - near) / blur_mm, 0.0, 1.0)
 
 
-FLICKER_STEPS = 10
-"""Steps of the pixels per period of the light."""
-SMALL_RIPPLE = 0.05
-"""Largest ripple to which pixels respond in steady state, without steps of its own: a swing of
-0.1 log-e is below every threshold and only shifts the time of other crossings."""
-DARK_LIGHT = 0.02
-"""Light while the LEDs are switched off, over that while they are on (estimate: glare)."""
-
-
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Periodic light, 1 in the mean for a ripple and 1 at most for switched LEDs.
+    """A ripple of the lamp, 1 in the mean; too small to make a pixel fire without motion.
 
     Attributes:
-        depth: Peak of the ripple over the mean, less 1, unused for switched LEDs.
-        hz: Frequency [Hz]; 0 for steady light.
+        depth: Peak of the ripple over the mean, less 1: up to 0.05. A swing of 0.1 log-e is below
+            every threshold and only shifts the time of other crossings; 0 is steady light.
         phase: Phase at time 0 [turns].
-        switched: Whether the LEDs are switched, half of the time on.
+        hz: Frequency [Hz]: twice the mains'.
     """
 
     depth: float
-    hz: float
     phase: float
-    switched: bool = False
-
-    @property
-    def steady(self) -> bool:
-        """Whether the light is constant."""
-        return self.hz <= 0.0 or (self.depth <= 0.0 and not self.switched)
-
-    @property
-    def small(self) -> bool:
-        """Whether the ripple is too small to make a pixel fire without motion."""
-        return not self.switched and self.depth <= SMALL_RIPPLE
-
-    @property
-    def longest_step(self) -> int:
-        """Return the most grid steps that resolve it; a small ripple needs no steps of its own."""
-        if self.steady or self.small:
-            return BLOCK_STEPS
-        return max(int(1e6 / (FLICKER_STEPS * self.hz * STEP_US)), 1)
-
-    def light(self, t_us: Floats | float) -> Floats:
-        """Return the light at times [us] over the steady one."""
-        turns = 1e-6 * np.asarray(t_us, np.float64) * self.hz + self.phase
-        if self.switched:
-            return np.where(turns % 1.0 < 0.5, 1.0, DARK_LIGHT)
-        return np.asarray(1.0 + self.depth * np.sin(2.0 * np.pi * turns))
-
-    def log_light(self, t_us: float) -> float:
-        """Return the natural logarithm of the light at a time [us]; 0 if steady."""
-        return 0.0 if self.steady else float(np.log(self.light(t_us)))
+    hz: float = 100.0
 
     def mean(self, start_us: float, end_us: float) -> float:
         """Return the mean light between two times [us], for an exposure; 1 if steady."""
-        if self.steady:
+        if self.depth <= 0.0:
             return 1.0
-        edges = np.linspace(start_us, end_us, 513)
-        return float(np.mean(self.light(0.5 * (edges[1:] + edges[:-1]))))
+        edges_us = np.linspace(start_us, end_us, 513)
+        turns = 1e-6 * (0.5 * (edges_us[1:] + edges_us[:-1])) * self.hz + self.phase
+        return float(np.mean(1.0 + self.depth * np.sin(2.0 * np.pi * turns)))
+
+
+ONE = 65536
+"""Fixed-point one of the sum."""
+TOLERANCE_PX = 0.01
+"""Motion or growth below this is not drawn: it changes no log intensity by more than 1 %."""
+
+
+class Renderer:
+    """The sum of all bead images.
+
+    Args:
+        opacity: Optical thickness of each bead [n].
+
+    Attributes:
+        cover: Optical thickness times ``ONE`` [padded pixels], int32.
+        dirty: Tiles in which ``cover`` changed since they were last cleared [tiles], uint8.
+    """
+
+    def __init__(self, opacity: Floats) -> None:
+        self.cover = np.zeros(PADDED, np.int32)
+        self.dirty = np.ones(TILES, np.uint8)
+        self._opacity = opacity
+        self._drawn = np.zeros((len(opacity), 4))  # radius 0: nothing is there yet
+
+    def draw(self, spots: Floats) -> None:
+        """Show beads at new places.
+
+        Args:
+            spots: Column, row, radius and edge width of each bead [n, 4] [px].
+        """
+        _redraw(self.cover, self.dirty, self._drawn, spots, self._opacity)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _redraw(
+    cover: NDArray[np.int32],
+    dirty: NDArray[np.uint8],
+    drawn: Floats,
+    spots: Floats,
+    opacity: Floats,
+) -> None:
+    """Remove and redraw the discs that moved."""
+    for i in range(spots.shape[0]):
+        moved = abs(spots[i, 0] - drawn[i, 0]) + abs(spots[i, 1] - drawn[i, 1])
+        grown = abs(spots[i, 2] - drawn[i, 2]) + 0.5 * abs(spots[i, 3] - drawn[i, 3])
+        if moved + grown < TOLERANCE_PX:
+            continue
+        if drawn[i, 2] > 0.0:
+            _splat(cover, dirty, drawn[i], -opacity[i] * ONE)
+        _splat(cover, dirty, spots[i], opacity[i] * ONE)
+        for k in range(spots.shape[1]):
+            drawn[i, k] = spots[i, k]
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _splat(cover: NDArray[np.int32], dirty: NDArray[np.uint8], spot: Floats, height: float) -> None:
+    """Add one disc with a smooth edge, darker towards its limb as a lit ball is."""
+    x, y = np.float32(spot[0]), np.float32(spot[1])
+    outer = np.float32(spot[2] + 0.5 * spot[3])
+    per_width, per_radius = np.float32(1.0 / spot[3]), np.float32(0.25 / spot[2] ** 2)
+    peak = np.float32(height)
+    first_row, last_row = max(int(np.ceil(y - outer)), 0), min(int(y + outer), HEIGHT - 1)
+    left, right = max(int(np.ceil(x - outer)), 0), min(int(x + outer), WIDTH - 1)
+    if first_row > last_row or left > right:
+        return
+    for row in range(first_row, last_row + 1):
+        base = row * WIDTH
+        dy = (row - y) * (row - y)
+        for column in range(left, right + 1):
+            square = (column - x) * (column - x) + dy
+            ramp = (outer - np.sqrt(square)) * per_width
+            ramp = min(max(ramp, np.float32(0.0)), np.float32(1.0))
+            edge = ramp * ramp * (np.float32(3.0) - np.float32(2.0) * ramp)
+            limb = max(np.float32(1.0) - per_radius * square, np.float32(0.4))
+            cover[base + column] += np.int32(peak * edge * limb)
+        for tile in range((base + left) // TILE, (base + right) // TILE + 1):
+            dirty[tile] = 1
+
+
+LEVELS_MM = np.linspace(0.0, 0.6, 13)
+"""Sags of the tables [mm]; 0.6 mm are 1 to 6 N. A mesh that sags more is shown like that."""
+TOLERANCE_MM = 0.002
+"""Motion below this is not shown: it changes no log intensity by more than 0.5 %."""
+VISIBLE = 0.02
+"""Relative change of the light below which a tile is left alone."""
+
+
+class MeshMotion:
+    """Light on the array behind a mesh that sags.
+
+    Args:
+        lens: The lens.
+        lighting: Light and mesh.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm].
+        contact_mm: Where it is pressed, from the optical axis [mm].
+
+    Attributes:
+        floors: Light without beads at each of `LEVELS_MM` [level, tile, 64] [lx].
+        gains: Change from no bead to bead [level, tile, 64] [lx].
+        tiles: Tiles in which the mesh can be seen to move [n].
+    """
+
+    def __init__(
+        self,
+        lens: Lens,
+        lighting: Lighting,
+        mesh_n_per_mm: float,
+        contact_mm: tuple[float, float],
+    ) -> None:
+        scenes = [build_scene(lens, lighting, contact_mm, sag_mm) for sag_mm in LEVELS_MM]
+        self.floors = np.stack([scene.floor.reshape(TILES, TILE) for scene in scenes])
+        self.gains = np.stack([scene.gain.reshape(TILES, TILE) for scene in scenes])
+        change = np.abs(self.floors[-1] / self.floors[0] - 1.0).max(axis=1)
+        self.tiles: NDArray[np.int64] = np.flatnonzero(change > VISIBLE).astype(np.int64)
+        self._per_n = 1.0 / mesh_n_per_mm
+        self._shown_mm = 0.0
+
+    def level(self, elastic_n: float) -> float | None:
+        """Return the place among the levels under an elastic force [N], None if as shown before."""
+        sag = min(elastic_n * self._per_n, float(LEVELS_MM[-1]))
+        if abs(sag - self._shown_mm) < TOLERANCE_MM:
+            return None
+        self._shown_mm = sag
+        return sag / float(LEVELS_MM[1])

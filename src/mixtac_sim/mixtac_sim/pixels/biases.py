@@ -121,17 +121,18 @@ class PixelSettings:
     shot_lux: float = 4.0
 
     @staticmethod
-    def from_biases(registers: Mapping[int, int], nominal: PixelSettings) -> PixelSettings:
-        """Return the settings of a chip with some bias registers.
+    def from_biases(registers: Mapping[int, int]) -> PixelSettings:
+        """Return the settings of a nominal chip with some bias registers.
+
+        Those at the default registers are scaled by what the formulas say of the change.
 
         Args:
             registers: Values by address, module 5 of the camera; defaults where one is missing.
-            nominal: Settings of the chip at the default registers, which are then scaled by what
-                the formulas say of the change.
 
         Shot noise grows with the bandwidth and with the inverse of the threshold (estimate); a leak
         reaches a lower threshold sooner.
         """
+        nominal = PixelSettings()
         now, usual = (PixelConstants.from_registers(each) for each in (registers, {}))
         on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
         speed = now.source_follower_hz / usual.source_follower_hz

@@ -22,8 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.optics.renderer import MeshMotion
-from mixtac_sim.optics.scene import Flicker, Scene
+from mixtac_sim.optics.scene import Flicker, MeshMotion, Scene
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 
 FLOOR = 0
@@ -147,19 +146,14 @@ def relight(values: NDArray[np.float32], bits: NDArray[np.int32], cover: NDArray
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _follow(
-    values: NDArray[np.float32], corners: Corners, step_s: float, glow: tuple[float, float]
-) -> tuple[int, int]:
+def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tuple[int, int]:
     """Advance low-pass and difference of a tile; return whether a pixel fires, whether one moves.
-
-    The lamp's flicker, as a logarithm at start and end of the step, adds to that of the scene.
 
     The factor exp(-x) of a step is taken as 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), which is within
     1 % while the pixel still remembers anything and goes to zero as it should.
     """
     source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
     phase, step = _F(2.0 * np.pi * step_s), _F(step_s)
-    first, last = _F(glow[0]), _F(glow[1])
     fires, moves = np.int32(0), np.int32(0)
     for j in range(TILE):
         photo = per_lux * values[LIGHT, j]
@@ -167,7 +161,7 @@ def _follow(
         kept = _F(1.0) / (
             _F(1.0) + x * (_F(1.0) + x * (_F(0.5) + x * (_F(1 / 6) + x * _F(1 / 24))))
         )
-        now, before = values[LOG, j] + last, values[BEFORE, j] + first
+        now, before = values[LOG, j], values[BEFORE, j]
         rise = now - before
         value = kept * values[FOLLOW, j] + (_F(1.0) - kept) * before
         value += rise * (_F(1.0) - (_F(1.0) - kept) / x)
@@ -306,8 +300,6 @@ def develop(
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
     corners: Corners,
-    glow: tuple[float, float],
-    flickers: bool,
     ripple: Ripple,
     start_ns: int,
     end_ns: int,
@@ -317,7 +309,7 @@ def develop(
     """Advance all pixels over one step; see ``Dvs.step``."""
     step_s = 1e-9 * (end_ns - start_ns)
     for tile in range(TILES):
-        if not (flickers or dirty[tile] or state.active[tile] or state.due_ns[tile] <= end_ns):
+        if not (dirty[tile] or state.active[tile] or state.due_ns[tile] <= end_ns):
             continue
         values = state.values[tile]
         idle_s = _F(1e-9 * (start_ns - state.last_ns[tile]))
@@ -327,7 +319,7 @@ def develop(
         if dirty[tile]:
             relight(values, state.bits[tile], cover[tile * TILE : (tile + 1) * TILE])
             dirty[tile] = 0
-        fires, moves = _follow(values, corners, step_s, glow)
+        fires, moves = _follow(values, corners, step_s)
         if ripple.depth > 0.0:
             fires = _ripple(values, corners, ripple, state.last_ns[tile])
         if fires:
@@ -370,7 +362,7 @@ class Dvs:
         self._state = _blank_state()
         self._row(FLOOR)[:] = _tiled(scene.floor)
         self._row(GAIN)[:] = _tiled(scene.gain)
-        self.light_by(Flicker(0.0, 0.0, 0.0))
+        self.light_by(Flicker(0.0, 0.0))
         self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
         self.configure(settings)
         # Pixels start anywhere between two leak events.
@@ -403,10 +395,7 @@ class Dvs:
 
     def light_by(self, flicker: Flicker) -> None:
         """Set the flicker of the lamp; steady before the first call."""
-        self._flicker = flicker
-        self._resolved = not (flicker.steady or flicker.small)
-        depth = 0.0 if flicker.steady or self._resolved else flicker.depth
-        self._ripple = Ripple(depth, flicker.hz, 2.0 * np.pi * flicker.phase, 0)
+        self._ripple = Ripple(flicker.depth, flicker.hz, 2.0 * np.pi * flicker.phase, 0)
 
     def settle(self, cover: NDArray[np.int32]) -> None:
         """Bring the pixels to the steady state under a cover.
@@ -437,16 +426,11 @@ class Dvs:
             end_ns: End of the step [ns].
             block_ns: Start of the block [ns], from which crossings count.
         """
-        lamp, glow = self._flicker, (0.0, 0.0)
-        if self._resolved:
-            glow = lamp.log_light(1e-3 * start_ns), lamp.log_light(1e-3 * end_ns)
         develop(
             self._state,
             cover,
             dirty,
             self._corners,
-            glow,
-            self._resolved,
             self._ripple._replace(now_ns=end_ns) if self._ripple.depth else self._ripple,
             start_ns,
             end_ns,

@@ -8,10 +8,10 @@ It may be called from any number of threads: usually one that produces data, and
 from __future__ import annotations
 
 import math
+import struct
 import sys
 import time
-from array import array
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Iterable
 from threading import Condition
 from typing import Final, TypeAlias
 
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.endpoints import ControlEndpoint
 from mixtac_sim.usb.faults import (
     Fault,
     FaultInjector,
@@ -31,23 +30,37 @@ from mixtac_sim.usb.faults import (
     UsbTimeout,
     VirtualUsbError,
 )
-from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
-from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
+from mixtac_sim.usb.registers import (
+    CLOCK_DEVIATION,
+    USB_MHZ,
+    Aps,
+    Dvs,
+    Imu,
+    Module,
+    Mux,
+    RegisterFile,
+    Usb,
+    adc_cycles_to_us,
+)
+from mixtac_sim.usb.stream import FILTER_REGISTERS, Oscillator, StreamAssembler
 from mixtac_sim.usb.words import ImuReading
 
-Buffer: TypeAlias = 'array[int] | bytearray | memoryview'
-
-
 _IN: Final = 0x80
+_VENDOR_OUT: Final = 0x40
+_VENDOR_IN: Final = 0xC0
+_TYPE_MASK: Final = 0x60
+_REGISTER: Final = 0xBF
+_REGISTERS: Final = 0xC2
+_VALUE: Final = struct.Struct('>I')
+_ENTRY: Final = struct.Struct('>BBI')
+# Standard requests (USB 3.0, table 9-4).
+_CLEAR_FEATURE: Final = 1
+_GET_DESCRIPTOR: Final = 6
+_GET_CONFIGURATION: Final = 8
+_SET_CONFIGURATION: Final = 9
 _CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
 _ENDPOINTS: Final = {endpoints.DATA_ENDPOINT, endpoints.DEBUG_ENDPOINT}
-_DEFAULT_FIFO: Final = 4 << 20
 _LONGEST_WAIT_S: Final = 3600.0
-
-
-def _monotonic_us() -> Callable[[], int]:
-    start = time.monotonic_ns()
-    return lambda: (time.monotonic_ns() - start) // 1000
 
 
 class VirtualDavis346:
@@ -55,54 +68,43 @@ class VirtualDavis346:
 
     Args:
         serial: Serial number, at most eight characters.
-        board: Fixed properties of the camera.
+        clock: Returns true time now [us].
         skew_ppm: Rate of the camera clock over true time, less one [1e-6].
         fifo_bytes: Output buffer; events are dropped (and counted) beyond half of it.
-        clock: True time now [us]; by default the host's monotonic clock since construction.
 
     Attributes:
-        serial: Serial number; may change while it is unplugged.
-        board: Fixed properties of the camera.
+        serial: Serial number.
+        settings_version: Power-ups and register writes so far; unchanged as long as no setting
+            changed.
     """
 
     def __init__(
         self,
         serial: str,
         *,
-        board: Board | None = None,
+        clock: Callable[[], int] = lambda: time.monotonic_ns() // 1000,
         skew_ppm: float = 0.0,
-        fifo_bytes: int = _DEFAULT_FIFO,
-        clock: Callable[[], int] | None = None,
+        fifo_bytes: int = 4 << 20,
     ) -> None:
         self.serial = serial
-        self.board = board or Board()
         self._skew_ppm = skew_ppm
-        self._clock = clock or _monotonic_us()
+        self._clock = clock
         self._condition = Condition()
         # A session that began before the last plugging-in is dead, like a handle of its file.
-        self._plugs, self._resets = 1, 0
-        self._owner: Hashable | None = None
-        self._back_at: float | None = None
-        self._next_serial = ''
+        self._plugs, self._resets, self._present = 0, 0, True
+        self._owner: Session | None = None
         self._faults = FaultInjector(self._condition)
-        self._fifo = ByteFifo(fifo_bytes)
         self._oldest_s, self._wanted = 0.0, sys.maxsize
-        self._stream = StreamAssembler(self.board, self._fifo)
-        self._power_ups = 0
-        self._power_up()
+        self._stream = StreamAssembler(fifo_bytes)
+        self.settings_version = 0
+        self.plug_in()
 
     # The host's side.
 
-    def unplug(self, seconds: float = math.inf, serial: str = '') -> None:
-        """Remove the device: requests under way and later ones end with `UsbGone`.
-
-        Args:
-            seconds: Time after which it is plugged in again [s].
-            serial: Serial number to come back with, empty for the same.
-        """
+    def unplug(self) -> None:
+        """Remove the device: requests under way and later ones end with `UsbGone`."""
         with self._condition:
-            self._back_at = time.monotonic() + seconds
-            self._next_serial = serial
+            self._present = False
             self._faults.clear()
 
     def plug_in(self, serial: str = '') -> None:
@@ -113,7 +115,7 @@ class VirtualDavis346:
         """
         with self._condition:
             self.serial = serial or self.serial
-            self._back_at = self._owner = None
+            self._present, self._owner = True, None
             self._plugs += 1
             self._faults.clear()
             self._power_up()
@@ -164,14 +166,14 @@ class VirtualDavis346:
         with self._condition:
             self.check_present()
             plugs = self._plugs
-            self._faults.before_control(request_type, request, value, limit_s)
+            self._faults.before_control(request_type, limit_s)
             self.check_present(plugs)
             if request_type & _IN:
                 wanted = data if isinstance(data, int) else len(data)
-                answer = self._endpoint0.answer(request_type, request, value, index)[:wanted]
+                answer = self._answer(request_type, request, value, index)[:wanted]
                 return self._faults.answer(request_type, answer)
             sent = b'' if isinstance(data, int) else data
-            self._endpoint0.obey(request_type, request, value, index, sent)
+            self._obey(request_type, request, value, index, sent)
             if (request_type, request, index) == _CLEAR_DATA_HALT:
                 self._faults.halt_cleared()
             return b''
@@ -195,33 +197,18 @@ class VirtualDavis346:
             UsbStall: There is no such endpoint, or it is halted.
             UsbGone: The device was unplugged.
         """
-        buffer = bytearray(length)
-        return bytes(buffer[: self.read_into(endpoint, buffer, timeout_s)])
-
-    def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
-        """Wait for data like `read_bulk`, without a copy.
-
-        Args:
-            endpoint: 0x82 data, 0x81 debug messages.
-            buffer: Buffer for the data; its length limits the bytes returned.
-            timeout_s: Longest wait [s]; None waits without limit.
-
-        Returns:
-            How many bytes came.
-
-        Raises:
-            VirtualUsbError: As `read_bulk`.
-        """
-        out = np.frombuffer(buffer, np.uint8)
         with self._condition:
             self.check_present()
-            return self._fifo.pop_into(out[: self._wait(endpoint, len(out), timeout_s)])
+            count = self._wait(endpoint, length, timeout_s)
+            data = bytes(self._stream.fifo[:count])
+            # Whole words leave the buffer: half of a word that was cut is lost.
+            del self._stream.fifo[: count + count % 2]
+            return data
 
     @property
     def plugs(self) -> int:
         """Number of times the device was plugged in; a session keeps it for `check_present`."""
         with self._condition:
-            self._plug_in_if_due()
             return self._plugs
 
     def check_present(self, plugs: int | None = None) -> None:
@@ -234,14 +221,13 @@ class VirtualDavis346:
             UsbGone: It was unplugged, now or since then.
         """
         with self._condition:
-            self._plug_in_if_due()
-            if self._back_at is not None:
+            if not self._present:
                 raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
             if plugs is not None and plugs != self._plugs:
                 raise UsbGone('the virtual camera was unplugged; open it again')
 
-    def claim(self, owner: Hashable) -> None:
-        """Give the interface to one host session.
+    def claim(self, owner: Session) -> None:
+        """Give the interface to one session.
 
         Raises:
             UsbBusy: Another session has it.
@@ -252,7 +238,7 @@ class VirtualDavis346:
                 raise UsbBusy('the virtual camera is in use by another program; close that one')
             self._owner = owner
 
-    def release(self, owner: Hashable) -> None:
+    def release(self, owner: Session) -> None:
         """Release the interface if a session holds it."""
         with self._condition:
             if self._owner == owner:
@@ -287,8 +273,7 @@ class VirtualDavis346:
     def advance(self, true_us: int) -> None:
         """Advance true time [us]: send what is due and the wraps of the camera clock."""
         with self._condition:
-            self._plug_in_if_due()
-            was_empty = not len(self._fifo)
+            was_empty = not self._stream.fifo
             # What is sent may be as old as the whole step, as far as the early packet delay goes.
             age_us = true_us - self._stream.done_us
             self._stream.advance(true_us)
@@ -301,8 +286,8 @@ class VirtualDavis346:
             Whether they were taken.
         """
         with self._condition:
-            was_empty = not len(self._fifo)
-            taken = self._stream.running and self._fifo.push(words)
+            was_empty = not self._stream.fifo
+            taken = self._stream.running and self._stream.push(words)
             self._announce(was_empty=was_empty)
             return taken
 
@@ -314,22 +299,17 @@ class VirtualDavis346:
     @property
     def backlog(self) -> int:
         """Bytes that the host has not read yet."""
-        return len(self._fifo)
-
-    @property
-    def settings_version(self) -> tuple[int, int]:
-        """Power-ups and register writes so far; unchanged as long as no setting changed."""
-        return self._power_ups, self._registers.writes
+        return len(self._stream.fifo)
 
     @property
     def exposure_us(self) -> int:
         """Exposure set by the host [us]."""
-        return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.EXPOSURE))
+        return adc_cycles_to_us(self.register(Module.APS, Aps.EXPOSURE))
 
     @property
     def frame_interval_us(self) -> int:
         """Time between frame starts set by the host [us]; 0 as fast as possible."""
-        return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.FRAME_INTERVAL))
+        return adc_cycles_to_us(self.register(Module.APS, Aps.FRAME_INTERVAL))
 
     @property
     def imu_interval_us(self) -> int:
@@ -358,39 +338,29 @@ class VirtualDavis346:
     def streaming(self) -> bool:
         """Whether the host has set the run bits."""
         with self._condition:
-            return self._stream.running and self._back_at is None
+            return self._stream.running and self._present
 
     @property
     def losses(self) -> dict[str, int]:
         """Losses since power-up: events and frames that found the buffer full."""
         with self._condition:
-            read = self._registers.read
-            mux = read(Module.MUX, Mux.DVS_DROPPED) << 32 | read(Module.MUX, Mux.DVS_DROPPED + 1)
-            dvs = read(Module.DVS, Dvs.DROPPED) << 32 | read(Module.DVS, Dvs.DROPPED + 1)
-            return {
-                'events_dropped': mux + dvs,
-                'frames_dropped': self._stream.frames_dropped,
-                'frames_late': self._stream.late_frames,
-            }
+            count = self._registers.statistic
+            dropped = count(Module.MUX, Mux.DVS_DROPPED) + count(Module.DVS, Dvs.DROPPED)
+            return {'events_dropped': dropped, 'frames_dropped': self._stream.frames_dropped}
 
     # Internal; the lock is held.
 
-    def _plug_in_if_due(self) -> None:
-        if self._back_at is not None and time.monotonic() >= self._back_at:
-            self.plug_in(self._next_serial)
-
     def _power_up(self) -> None:
-        self._power_ups += 1
-        self._registers = RegisterFile(self.board)
-        self._fifo.clear()
+        self.settings_version += 1
+        self._registers = RegisterFile()
         self._oscillator = Oscillator(self._skew_ppm)
         self._reset_host_us = time.time_ns() // 1000 - self._clock()
         self._stream.power_up(self._registers, self._oscillator)
-        self._endpoint0 = ControlEndpoint(self._registers, self.serial, self._written)
+        self._configuration = 1
 
     def _early_packet_s(self) -> float:
         cycles = self._registers.read(Module.USB, Usb.EARLY_PACKET_DELAY)
-        return cycles * 1e-6 / (self.board.usb_mhz * self.board.deviation * 1e-3)
+        return cycles * 1e-6 / (USB_MHZ * CLOCK_DEVIATION * 1e-3)
 
     def _announce(self, *, was_empty: bool, age_s: float = 0.0) -> None:
         """Wake readers if one of them may have enough data now.
@@ -399,9 +369,9 @@ class VirtualDavis346:
             was_empty: Whether the buffer was empty before.
             age_s: Age of the oldest of the new data [s].
         """
-        if was_empty and len(self._fifo):
+        if was_empty and self._stream.fifo:
             self._oldest_s = time.monotonic() - age_s
-        elif len(self._fifo) < self._wanted:
+        elif len(self._stream.fifo) < self._wanted:
             return
         self._condition.notify_all()
 
@@ -422,7 +392,7 @@ class VirtualDavis346:
             ready_at = self._ready_at(length, now) if is_data else None
             if ready_at is not None and ready_at <= now:
                 self._oldest_s, self._wanted = now, sys.maxsize
-                return self._faults.granted(min(length & ~1, len(self._fifo)))
+                return self._faults.granted(min(length & ~1, len(self._stream.fifo)))
             if deadline is not None and now >= deadline and not (is_data and self._faults.is_hung):
                 raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
             self._wanted = min(self._wanted, length & ~1)
@@ -432,20 +402,52 @@ class VirtualDavis346:
     def _ready_at(self, length: int, now: float) -> float | None:
         if self._faults.is_frozen:
             return None
-        self._fifo.drop(self._faults.take_dropped(len(self._fifo)))
-        if not len(self._fifo):
+        fifo = self._stream.fifo
+        del fifo[: self._faults.take_dropped(len(fifo))]
+        if not fifo:
             return None
-        if len(self._fifo) >= length & ~1:
+        if len(fifo) >= length & ~1:
             return now
         return self._oldest_s + self._early_packet_s()
 
     def _restart_time(self, *, announce: bool) -> None:
-        was_empty = not len(self._fifo)
+        was_empty = not self._stream.fifo
         self._reset_host_us = time.time_ns() // 1000
         self._stream.restart_time(self._clock(), announce=announce)
         self._announce(was_empty=was_empty)
 
-    def _written(self, module: int, param: int, before: int, value: int) -> None:
+    def _answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
+        """Answer a request for data."""
+        answer: bytes | None = None
+        if (request_type, request) == (_VENDOR_IN, _REGISTER):
+            answer = _VALUE.pack(self._registers.read(value, index))
+        elif not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
+            answer = endpoints.descriptor(value >> 8, value & 0xFF, self.serial)
+        elif not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
+            answer = bytes((self._configuration,))
+        if answer is None:
+            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
+        return answer
+
+    def _obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
+        """Carry out a request that sends data or none."""
+        size = len(data)
+        if (request_type, request, size) == (_VENDOR_OUT, _REGISTER, _VALUE.size):
+            self._write(value, index, _VALUE.unpack(data)[0])
+        elif (request_type, request, size) == (_VENDOR_OUT, _REGISTERS, _ENTRY.size * value):
+            for entry in _ENTRY.iter_unpack(data):
+                self._write(*entry)
+        elif not request_type & _TYPE_MASK and request == _SET_CONFIGURATION and value < 2:
+            self._configuration = value
+        elif request_type & _TYPE_MASK or request != _CLEAR_FEATURE:
+            raise UsbStall(
+                f'unknown request {request_type:#04x}/{request:#04x} of {value} with {size} bytes'
+            )
+
+    def _write(self, module: int, param: int, value: int) -> None:
+        before = self._registers.read(module, param)
+        self._registers.write(module, param, value)
+        self.settings_version += 1
         if module == Module.MUX and not before and value:
             if param == Mux.TIMESTAMP_RESET:
                 self._restart_time(announce=True)
@@ -453,11 +455,53 @@ class VirtualDavis346:
                 self._restart_time(announce=False)
             elif param == Mux.RUN:
                 self._faults.restarted()
-        if (module, param) == (Module.APS, Aps.RUN):
-            self._stream.frames_switched(on=bool(value))
+        if (module, param) == (Module.APS, Aps.RUN) and value:
+            self._stream.snapshot = True
         if module == Module.USB:
             self._condition.notify_all()
         if module == Module.DVS and param in FILTER_REGISTERS:
             self._stream.settings_changed()
         if not self._stream.running:
-            self._fifo.clear()
+            self._stream.fifo.clear()
+
+
+Setup: TypeAlias = tuple[int, int, int, int]
+"""``bmRequestType``, ``bRequest``, ``wValue`` and ``wIndex`` of a control request."""
+
+
+class Session:
+    """What a host does from opening to closing the camera; it ends when the camera is unplugged.
+
+    Args:
+        device: The camera.
+    """
+
+    def __init__(self, device: VirtualDavis346) -> None:
+        self._device = device
+        self._plugs = device.plugs
+
+    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
+        """Make a control request; see `VirtualDavis346.control`. 0 waits without limit."""
+        self._device.check_present(self._plugs)
+        return self._device.control(*setup, data, timeout_ms / 1000 or None)
+
+    def read(self, endpoint: int, length: int, timeout_ms: int) -> bytes:
+        """Read from an endpoint; see `VirtualDavis346.read_bulk`. 0 waits without limit."""
+        self._device.check_present(self._plugs)
+        return self._device.read_bulk(endpoint, length, timeout_ms / 1000 or None)
+
+    def claim(self) -> None:
+        """Claim the interface for this session; `UsbBusy` if another one has it."""
+        self._device.check_present(self._plugs)
+        self._device.claim(self)
+
+    def close(self) -> None:
+        """Give the interface back."""
+        self._device.release(self)
+
+    release = close
+
+    def reset(self) -> None:
+        """Do a USB port reset."""
+        self._device.check_present(self._plugs)
+        self._device.reset()

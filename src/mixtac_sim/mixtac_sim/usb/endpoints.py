@@ -1,32 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The USB side of the virtual camera: descriptors and control requests.
+"""The USB descriptors of the virtual camera.
 
-The descriptors are copied from the camera and never imported from the driver: they are its oracle.
+They are copied from the camera and never imported from the driver: they are its oracle.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from types import SimpleNamespace
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
-
-from mixtac_sim.usb.faults import UsbStall
-from mixtac_sim.usb.registers import RegisterFile
 
 VENDOR_ID: Final = 0x152A
 PRODUCT_ID: Final = 0x841A
 FIRMWARE: Final = 0x0006
 DATA_ENDPOINT: Final = 0x82
 DEBUG_ENDPOINT: Final = 0x81
-_DEVICE = struct.Struct('<BBHBBBBHHHBBBB')
-_CONFIGURATION = struct.Struct('<BBHBBBBB')
-_INTERFACE = struct.Struct('<BBBBBBBBB')
-_ENDPOINT = struct.Struct('<BBBBHB')
-# SuperSpeed endpoints carry a companion descriptor each; kernels and libusb skip it by its length.
-_COMPANION = struct.pack('<BBBBH', 6, 0x30, 0, 0, 0)
-_STRINGS: Final = ('iniVation', 'DAVIS346')
 
 
 def serial_number(device_seed: int) -> str:
@@ -34,175 +24,54 @@ def serial_number(device_seed: int) -> str:
     return f'V{device_seed % 10**7:07d}'
 
 
-def device_descriptor() -> bytes:
-    """Return the 18-byte device descriptor."""
-    return _DEVICE.pack(18, 1, 0x0300, 0, 0, 0, 9, VENDOR_ID, PRODUCT_ID, FIRMWARE, 1, 2, 3, 1)
+def _fields(names: str, *values: int) -> Mapping[str, int]:
+    return MappingProxyType(dict(zip(names.split(), values, strict=True)))
 
 
-def configuration_descriptor() -> bytes:
-    """Return the only configuration, with its interface and endpoints."""
-    body = _INTERFACE.pack(9, 4, 0, 0, 2, 0xFF, 0, 0, 0)
-    body += _ENDPOINT.pack(7, 5, DATA_ENDPOINT, 2, 1024, 0) + _COMPANION
-    body += _ENDPOINT.pack(7, 5, DEBUG_ENDPOINT, 3, 64, 1) + _COMPANION
-    return _CONFIGURATION.pack(9, 2, 9 + len(body), 1, 1, 0, 0x80, 50) + body
-
-
-def string_descriptor(index: int, serial: str) -> bytes | None:
-    """Return the string descriptor of this index (0 lists the languages), none if there is none."""
-    if index == 0:
-        return struct.pack('<BBH', 4, 3, 0x0409)
-    texts = (*_STRINGS, serial)
-    if index > len(texts):
-        return None
-    data = texts[index - 1].encode('utf-16-le')
-    return bytes((len(data) + 2, 3)) + data
-
-
-_DEVICE_NAMES: Final = (
+DEVICE: Final = _fields(
     'bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 '
-    'idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber bNumConfigurations'
+    'idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber bNumConfigurations',
+    *(18, 1, 0x0300, 0, 0, 0, 9, VENDOR_ID, PRODUCT_ID, FIRMWARE, 1, 2, 3, 1),
 )
-_CONFIGURATION_NAMES: Final = (
+"""The device descriptor, under the names of the USB specification like those below."""
+CONFIGURATION: Final = _fields(
     'bLength bDescriptorType wTotalLength bNumInterfaces bConfigurationValue iConfiguration '
-    'bmAttributes bMaxPower'
+    'bmAttributes bMaxPower',
+    *(9, 2, 44, 1, 1, 0, 0x80, 50),
 )
-_INTERFACE_NAMES: Final = (
+"""The only configuration."""
+INTERFACE: Final = _fields(
     'bLength bDescriptorType bInterfaceNumber bAlternateSetting bNumEndpoints bInterfaceClass '
-    'bInterfaceSubClass bInterfaceProtocol iInterface'
+    'bInterfaceSubClass bInterfaceProtocol iInterface',
+    *(9, 4, 0, 0, 2, 0xFF, 0, 0, 0),
 )
-_ENDPOINT_NAMES: Final = (
-    'bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval'
+"""Its only interface."""
+ENDPOINTS: Final = tuple(
+    _fields('bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval', *each)
+    for each in ((7, 5, DATA_ENDPOINT, 2, 1024, 0), (7, 5, DEBUG_ENDPOINT, 3, 64, 1))
 )
-_LAYOUTS: Final = {
-    1: (_DEVICE, _DEVICE_NAMES),
-    2: (_CONFIGURATION, _CONFIGURATION_NAMES),
-    4: (_INTERFACE, _INTERFACE_NAMES),
-    5: (_ENDPOINT, _ENDPOINT_NAMES),
-}
+"""Its endpoints."""
+# SuperSpeed endpoints carry a companion descriptor each; kernels and libusb skip it by its length.
+_COMPANION: Final = struct.pack('<BBBBH', 6, 0x30, 0, 0, 0)
 
 
-def parse(data: bytes) -> list[SimpleNamespace]:
-    """Split concatenated descriptors into those of known types (device to endpoint).
-
-    Returns:
-        One object each, its fields under their names in the USB specification.
-    """
-    found = []
-    offset = 0
-    while offset + 2 <= len(data) and data[offset] >= 2:
-        known = _LAYOUTS.get(data[offset + 1])
-        if known is not None:
-            layout, names = known
-            values = layout.unpack_from(data, offset)
-            fields = dict(zip(names.split(), values, strict=True))
-            found.append(SimpleNamespace(**fields, extra_descriptors=[]))
-        offset += data[offset]
-    return found
-
-
-REQUEST_REGISTER: Final = 0xBF
-REQUEST_REGISTERS: Final = 0xC2
-_VENDOR_OUT: Final = 0x40
-_VENDOR_IN: Final = 0xC0
-_TYPE_MASK: Final = 0x60
-_VALUE: Final = struct.Struct('>I')
-_ENTRY: Final = struct.Struct('>BBI')
-# Standard requests (USB 3.0, table 9-4).
-_GET_STATUS: Final = 0
-_CLEAR_FEATURE: Final = 1
-_SET_FEATURE: Final = 3
-_SET_ADDRESS: Final = 5
-_GET_DESCRIPTOR: Final = 6
-_GET_CONFIGURATION: Final = 8
-_SET_CONFIGURATION: Final = 9
-_GET_INTERFACE: Final = 10
-_SET_INTERFACE: Final = 11
-_ACCEPTED: Final = {_CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS}
-
-
-class ControlEndpoint:
-    """Decodes control requests. Not thread safe: the device guards it.
+def descriptor(kind: int, index: int, serial: str) -> bytes | None:
+    """Return a descriptor as a host reads it, None if there is none.
 
     Args:
-        registers: The register file.
-        serial: Serial number for the string descriptor.
-        on_write: Called after each register write with module, parameter, old and new value.
+        kind: 1 the device, 2 the configuration with all that belongs to it, 3 a string.
+        index: Number of the string; 0 lists the languages.
+        serial: Serial number, the third string.
     """
-
-    def __init__(
-        self,
-        registers: RegisterFile,
-        serial: str,
-        on_write: Callable[[int, int, int, int], None],
-    ) -> None:
-        self._registers = registers
-        self._serial = serial
-        self._on_write = on_write
-        self._configuration = 1
-
-    def answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
-        """Answer a request for data.
-
-        Raises:
-            UsbStall: The camera does not know the request.
-        """
-        answer: bytes | None = None
-        if request_type == _VENDOR_IN and request == REQUEST_REGISTER:
-            answer = _VALUE.pack(self._registers.read(value, index))
-        elif not request_type & _TYPE_MASK:
-            answer = self._standard_answer(request, value)
-        if answer is None:
-            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
-        return answer
-
-    def _standard_answer(self, request: int, value: int) -> bytes | None:
-        if request == _GET_DESCRIPTOR:
-            return self._descriptor(value >> 8, value & 0xFF)
-        fixed = {
-            _GET_STATUS: b'\0\0',
-            _GET_CONFIGURATION: bytes((self._configuration,)),
-            _GET_INTERFACE: b'\0',
-        }
-        return fixed.get(request)
-
-    def _descriptor(self, kind: int, index: int) -> bytes | None:
-        if kind == 1:
-            return device_descriptor()
-        if kind == 2 and index == 0:
-            return configuration_descriptor()
-        if kind == 3:
-            return string_descriptor(index, self._serial)
-        return None
-
-    def obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
-        """Carry out a request that sends data or none.
-
-        Raises:
-            UsbStall: The camera does not know the request or its data have the wrong length.
-        """
-        if request_type == _VENDOR_OUT:
-            self._write_registers(request, value, index, data)
-        elif request_type & _TYPE_MASK:
-            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
-        else:
-            self._standard(request, value)
-
-    def _standard(self, request: int, value: int) -> None:
-        if request == _SET_CONFIGURATION and value in {0, 1}:
-            self._configuration = value
-        elif request not in _ACCEPTED and not (request == _SET_INTERFACE and value == 0):
-            raise UsbStall(f'the camera refuses standard request {request} with value {value}')
-
-    def _write_registers(self, request: int, value: int, index: int, data: bytes) -> None:
-        if request == REQUEST_REGISTER and len(data) == _VALUE.size:
-            self._write(value, index, _VALUE.unpack(data)[0])
-        elif request == REQUEST_REGISTERS and len(data) == _ENTRY.size * value:
-            for module, param, setting in _ENTRY.iter_unpack(data):
-                self._write(module, param, setting)
-        else:
-            raise UsbStall(f'the camera refuses request {request:#04x} with {len(data)} bytes')
-
-    def _write(self, module: int, param: int, value: int) -> None:
-        before = self._registers.read(module, param)
-        self._registers.write(module, param, value)
-        self._on_write(module, param, before, value)
+    texts = ('', 'iniVation', 'DAVIS346', serial)
+    if kind == 1:
+        return struct.pack('<BBHBBBBHHHBBBB', *DEVICE.values())
+    if kind == 2 and index == 0:
+        data = struct.pack('<BBHBBBBB', *CONFIGURATION.values())
+        data += struct.pack('<BBBBBBBBB', *INTERFACE.values())
+        packed = (struct.pack('<BBBBHB', *each.values()) for each in ENDPOINTS)
+        return data + b''.join(each + _COMPANION for each in packed)
+    if kind == 3 and index < len(texts):
+        text = texts[index].encode('utf-16-le') if index else struct.pack('<H', 0x0409)
+        return bytes((len(text) + 2, 3)) + text
+    return None

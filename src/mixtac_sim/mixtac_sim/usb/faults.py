@@ -72,7 +72,7 @@ class FaultKind(Enum):
     Attributes:
         STALL_DATA: The data endpoint halts until the host clears the halt, ``count`` times.
         STALL_CONTROL: Vendor requests are refused.
-        TIMEOUT_CONTROL: Control requests find no answer, except those that a kernel answers.
+        TIMEOUT_CONTROL: Vendor requests find no answer.
         GARBAGE_REGISTERS: Registers read as random numbers.
         SHORT_READS: Reads return a random number of bytes, odd ones too; the other half of a word
             that was cut is lost.
@@ -117,8 +117,7 @@ class Fault:
 
 _BLOCKING: Final = (FaultKind.FREEZE, FaultKind.HANG_READS)
 _LONGEST_SHORT_READ: Final = 1500
-_GET_DESCRIPTOR: Final = (0x80, 6)
-_CACHED_DESCRIPTORS: Final = {1, 2}
+_VENDOR: Final = 0x40
 
 
 class FaultInjector:
@@ -131,14 +130,14 @@ class FaultInjector:
     def __init__(self, condition: Condition) -> None:
         self._condition = condition
         self._random = random.Random()  # noqa: S311 - not for secrets
-        self._active: dict[FaultKind, tuple[Fault, float]] = {}
+        self._until_s: dict[FaultKind, float] = {}
         self._left: dict[FaultKind, float] = {}
         self._halted = False
         self._drop = 0
 
     def clear(self) -> None:
         """End all faults."""
-        self._active, self._left = {}, {}
+        self._left = {}
         self._halted = False
         self._drop = 0
         self._condition.notify_all()
@@ -149,41 +148,34 @@ class FaultInjector:
         if fault.kind is FaultKind.DROP_BYTES:
             self._drop += fault.size + fault.size % 2
             return
-        until = time.monotonic() + (fault.seconds or math.inf)
-        self._active[fault.kind] = (fault, until)
+        self._until_s[fault.kind] = time.monotonic() + (fault.seconds or math.inf)
         self._left[fault.kind] = fault.count or math.inf
         self._condition.notify_all()
 
     def restarted(self) -> None:
         """Note that the host restarted the stream."""
-        if self._active.get(FaultKind.FREEZE, (None, 0.0))[1] == math.inf:
-            del self._active[FaultKind.FREEZE]
+        if self._until_s.get(FaultKind.FREEZE) == math.inf:
+            self._left[FaultKind.FREEZE] = 0
 
-    def before_control(self, request_type: int, request: int, value: int, limit_s: float) -> None:
+    def before_control(self, request_type: int, limit_s: float) -> None:
         """Apply the faults to a control request.
 
         Args:
             request_type: ``bmRequestType``.
-            request: ``bRequest``.
-            value: ``wValue``.
             limit_s: How long the host waits [s].
 
         Raises:
             UsbStall: It is refused.
             UsbTimeout: It finds no answer in time.
         """
-        # A kernel answers these two from memory.
-        if (request_type, request) == _GET_DESCRIPTOR and value >> 8 in _CACHED_DESCRIPTORS:
-            return
-        if request_type & 0x60 and self._take(FaultKind.STALL_CONTROL):
+        if request_type & _VENDOR and self._take(FaultKind.STALL_CONTROL):
             raise UsbStall('the request was refused (injected fault)')
-        if self._take(FaultKind.TIMEOUT_CONTROL):
-            ended_in = self._active[FaultKind.TIMEOUT_CONTROL][1] - time.monotonic()
-            self._sleep(ended_in, limit_s)
+        if request_type & _VENDOR and self._take(FaultKind.TIMEOUT_CONTROL):
+            self._sleep(self._until_s[FaultKind.TIMEOUT_CONTROL] - time.monotonic(), limit_s)
 
     def answer(self, request_type: int, answer: bytes) -> bytes:
         """Return what is answered to a request instead of this."""
-        if request_type & 0x60 and self._take(FaultKind.GARBAGE_REGISTERS):
+        if request_type & _VENDOR and self._take(FaultKind.GARBAGE_REGISTERS):
             return self._random.randbytes(len(answer))
         return answer
 
@@ -199,7 +191,7 @@ class FaultInjector:
             UsbOverflow: More data came than requested.
             VirtualUsbError: The bus failed.
         """
-        self._halted = self._halted or self._take(FaultKind.STALL_DATA) is not None
+        self._halted = self._halted or self._take(FaultKind.STALL_DATA)
         if self._halted:
             raise UsbStall('the data endpoint is halted (injected fault); clear the halt')
         if self._take(FaultKind.BABBLE):
@@ -220,8 +212,7 @@ class FaultInjector:
     @property
     def thaws_at(self) -> float:
         """When the next of the faults that block reads ends [s, monotonic clock]."""
-        ends = [self._active[kind][1] for kind in _BLOCKING if kind in self._active]
-        return min(ends, default=math.inf)
+        return min((self._until_s[k] for k in _BLOCKING if self._is_active(k)), default=math.inf)
 
     def take_dropped(self, available: int) -> int:
         """Return the number of waiting bytes to drop."""
@@ -236,24 +227,19 @@ class FaultInjector:
         return length
 
     def _is_active(self, kind: FaultKind) -> bool:
-        if kind not in self._active:
-            return False
-        if time.monotonic() >= self._active[kind][1] or self._left[kind] <= 0:
-            del self._active[kind]
-            return False
-        return True
+        return self._left.get(kind, 0) > 0 and time.monotonic() < self._until_s[kind]
 
-    def _take(self, kind: FaultKind) -> Fault | None:
-        if not self._is_active(kind):
-            return None
-        self._left[kind] -= 1
-        return self._active[kind][0]
+    def _take(self, kind: FaultKind) -> bool:
+        active = self._is_active(kind)
+        if active:
+            self._left[kind] -= 1
+        return active
 
     def _sleep(self, seconds: float, limit_s: float) -> None:
-        faults = self._active
+        faults = self._left
         deadline = time.monotonic() + min(seconds, limit_s)
         # Clearing the faults, a reset and unplugging end the wait.
-        while faults is self._active and time.monotonic() < deadline:
+        while faults is self._left and time.monotonic() < deadline:
             self._condition.wait(min(deadline - time.monotonic(), 1.0))
-        if faults is self._active and seconds > limit_s:
+        if faults is self._left and seconds > limit_s:
             raise UsbTimeout(f'no answer within {limit_s} s (injected fault)')

@@ -3,9 +3,9 @@
 """The host side of the virtual camera: a pyusb backend with it as the only device.
 
 The camera is reached through a link, which is one session of a host: `SocketLink` talks to a server
-in another process (entry point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a device
-in this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where real USB would fail
-in the same way.
+in another process (entry point `virtual` of `mixtac.usb_backends`), `Session` calls a device in
+this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where real USB would fail in
+the same way.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 
@@ -16,6 +16,7 @@ import secrets
 import socket
 import threading
 from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from usb.backend import IBackend
@@ -34,15 +35,11 @@ from mixtac_sim.usb.faults import (
 
 if TYPE_CHECKING:
     from array import array
-    from collections.abc import Callable, Iterator
-    from types import SimpleNamespace
+    from collections.abc import Callable, Iterator, Mapping
 
-    from mixtac_sim.usb.device import VirtualDavis346
+    from mixtac_sim.usb.device import Session, Setup, VirtualDavis346
 
-    Link: TypeAlias = 'InProcessLink | SocketLink'
-
-
-Setup = tuple[int, int, int, int]
+    Link: TypeAlias = 'Session | SocketLink'
 
 
 _GET_DESCRIPTOR: Final = 6
@@ -65,6 +62,10 @@ def _as_usb_errors() -> Iterator[None]:
         raise USBError(str(error), _LIBUSB.get(error.errno, -1), error.errno) from error
 
 
+def _described(fields: Mapping[str, int], **more: object) -> SimpleNamespace:
+    return SimpleNamespace(**fields, **more, extra_descriptors=[])
+
+
 class VirtualBackend(IBackend):  # type: ignore[misc]
     """Implements pyusb's backend interface on a link.
 
@@ -77,59 +78,39 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     def __init__(self, connect: Callable[[], Link]) -> None:
         self._connect = connect
-        self._lock = threading.Lock()
-        self._parsed: list[SimpleNamespace] | None = None
 
     def enumerate_devices(self) -> Iterator[str]:
         """Yield the identity of the camera, if it is there."""
         try:
-            self._descriptors()
+            link = self._connect()
+            try:
+                link.control((0x80, _GET_DESCRIPTOR, 0x0100, 0), endpoints.DEVICE['bLength'])
+            finally:
+                link.close()
         except VirtualUsbError:
             return
         yield 'virtual'
 
-    def _descriptors(self) -> list[SimpleNamespace]:
-        with self._lock:
-            link = self._connect()
-            try:
-                device = link.control((0x80, _GET_DESCRIPTOR, 0x0100, 0), 18)
-                configuration = link.control((0x80, _GET_DESCRIPTOR, 0x0200, 0), 4096)
-            finally:
-                link.close()
-            self._parsed = endpoints.parse(device + configuration)
-            return self._parsed
-
-    def _of_type(self, kind: int) -> list[SimpleNamespace]:
-        with _as_usb_errors():
-            parsed = self._parsed or self._descriptors()
-        return [found for found in parsed if found.bDescriptorType == kind]
-
     def get_device_descriptor(self, dev: object) -> SimpleNamespace:
         """Return the device descriptor and where the device sits."""
-        found = self._of_type(1)[0]
-        found.bus, found.address, found.speed = _BUS, 1, _SUPER_SPEED
-        found.port_number, found.port_numbers = 1, (1,)
-        return found
+        place = {'bus': _BUS, 'address': 1, 'port_number': 1, 'port_numbers': (1,)}
+        return _described(endpoints.DEVICE, speed=_SUPER_SPEED, **place)
 
     def get_configuration_descriptor(self, dev: object, config: int) -> SimpleNamespace:
         """Return the configuration of this index; `IndexError` if there is none."""
-        return self._of_type(2)[config]
+        return _described((endpoints.CONFIGURATION,)[config])
 
     def get_interface_descriptor(
         self, dev: object, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
         """Return the interface of this index; `IndexError` if there is none."""
-        if alt or config:
-            raise IndexError(alt)
-        return self._of_type(4)[intf]
+        return _described((endpoints.INTERFACE,)[intf + alt + config])
 
     def get_endpoint_descriptor(
         self, dev: object, ep: int, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
         """Return the endpoint of this index; `IndexError` if there is none."""
-        found = self._of_type(5)[ep]
-        found.bRefresh = found.bSynchAddress = 0
-        return found
+        return _described(endpoints.ENDPOINTS[ep], bRefresh=0, bSynchAddress=0)
 
     def get_parent(self, dev: object) -> None:
         """Return None: the camera is not behind a hub."""
@@ -168,7 +149,9 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     ) -> int:
         """Read from an endpoint into the buffer; return the number of bytes."""
         with _as_usb_errors():
-            return dev_handle.read(ep, buff, timeout)
+            data = dev_handle.read(ep, buff.itemsize * len(buff), timeout)
+            memoryview(buff).cast('B')[: len(data)] = data
+            return len(data)
 
     # The debug endpoint is read like the data endpoint.
     intr_read = bulk_read
@@ -205,55 +188,11 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
             dev_handle.reset()
 
 
-class InProcessLink:
-    """One host session that calls the device directly.
-
-    Args:
-        device: The camera.
-    """
-
-    def __init__(self, device: VirtualDavis346) -> None:
-        self._device = device
-        self._plugs = device.plugs
-
-    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request.
-
-        Args:
-            setup: ``bmRequestType``, ``bRequest``, ``wValue`` and ``wIndex``.
-            data: Bytes to the device, or how many are wanted from it.
-            timeout_ms: Longest wait [ms], 0 without limit.
-        """
-        self._device.check_present(self._plugs)
-        return self._device.control(*setup, data, timeout_ms / 1000 or None)
-
-    def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
-        self._device.check_present(self._plugs)
-        return self._device.read_into(endpoint, buffer, timeout_ms / 1000 or None)
-
-    def claim(self) -> None:
-        """Claim the interface for this session."""
-        self._device.check_present(self._plugs)
-        self._device.claim(self)
-
-    def release(self) -> None:
-        """Give the interface back."""
-        self._device.release(self)
-
-    def reset(self) -> None:
-        """Do a USB port reset."""
-        self._device.check_present(self._plugs)
-        self._device.reset()
-
-    def close(self) -> None:
-        """End the session."""
-        self._device.release(self)
-
-
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
     """Return a pyusb backend that finds this one device."""
-    return VirtualBackend(lambda: InProcessLink(device))
+    from mixtac_sim.usb.device import Session  # compiles; a host on the socket need not wait
+
+    return VirtualBackend(lambda: Session(device))
 
 
 _CONTROL_CHANNEL: Final = 0
@@ -285,24 +224,14 @@ class SocketLink:
         self._channel(_CONTROL_CHANNEL)
 
     def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request; arguments as of `InProcessLink.control`."""
+        """Make a control request; arguments as of `Session.control`."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
-        return self._call(wire.CONTROL, setup, sent, wanted, timeout_ms)
+        return self._call(wire.CONTROL, setup, timeout_ms, sent, wanted)
 
-    def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
-        view = memoryview(buffer).cast('B')
-        connection, lock = self._channel(endpoint)
-        header = wire.REQUEST.pack(
-            *(wire.READ, endpoint, 0, 0, 0, len(view), timeout_ms, self._session)
-        )
-        with self._errors(), lock:
-            _set_patience(connection, timeout_ms)
-            connection.sendall(header)
-            status, size = wire.receive_reply(connection, view)
-            if status:
-                raise wire.TransferError(status, f'reading endpoint {endpoint:#04x} failed')
-        return size
+    def read(self, endpoint: int, length: int, timeout_ms: int) -> bytes:
+        """Read from an endpoint; arguments as of `Session.read`."""
+        setup = (endpoint, 0, 0, 0)
+        return self._call(wire.READ, setup, timeout_ms, wanted=length, channel=endpoint)
 
     def claim(self) -> None:
         """Claim the interface for this session."""
@@ -333,14 +262,23 @@ class SocketLink:
         self,
         operation: int,
         setup: Setup = (0, 0, 0, 0),
+        timeout_ms: int = _QUICK_MS,
         data: bytes = b'',
         wanted: int = 0,
-        timeout_ms: int = _QUICK_MS,
+        channel: int = _CONTROL_CHANNEL,
     ) -> bytes:
-        connection, lock = self._channel(_CONTROL_CHANNEL)
-        with self._errors(), lock:
-            _set_patience(connection, timeout_ms)
-            return wire.call(connection, operation, setup, data, wanted, timeout_ms, self._session)
+        connection, lock = self._channel(channel)
+        try:
+            with lock:
+                # A server that was stopped must not block its hosts.
+                connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
+                sent = (operation, setup, data, wanted, timeout_ms, self._session)
+                return wire.call(connection, *sent)
+        except wire.TransferError as error:
+            kind = _ERRORS.get(error.errno or 0, VirtualUsbError)
+            raise kind(f'virtual camera on {self._path}: {error.strerror}') from error
+        except OSError as error:
+            raise UsbGone(f'virtual camera on {self._path} is gone: {error}') from error
 
     def _channel(self, number: int) -> tuple[socket.socket, threading.Lock]:
         with self._lock:
@@ -349,23 +287,6 @@ class SocketLink:
             if number not in self._channels:
                 self._channels[number] = (_connect(self._path), threading.Lock())
             return self._channels[number]
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            yield
-        except wire.TransferError as error:
-            kind = _ERRORS.get(error.errno or 0, VirtualUsbError)
-            raise kind(f'virtual camera on {self._path}: {error.strerror}') from error
-        except OSError as error:
-            raise UsbGone(f'virtual camera on {self._path} is gone: {error}') from error
-
-
-def _set_patience(connection: socket.socket, timeout_ms: int) -> None:
-    # A server that was stopped must not block its hosts.
-    patience_s = timeout_ms / 1000 + _GRACE_S if timeout_ms else None
-    if connection.gettimeout() != patience_s:
-        connection.settimeout(patience_s)
 
 
 def _connect(path: str) -> socket.socket:

@@ -4,16 +4,19 @@
 
 Module and parameter numbers, read-only values and power-up defaults are those of a DAVIS346 on an
 FX3 board with FPGA logic 18.1, as the libcaer sources document them. Values are unsigned 32 bit;
-statistics are 64 bit, upper half at the first parameter, lower half at the next one.
+statistics are 64 bit, upper half at the first parameter, lower half at the next one. Capability
+bits of what is not modelled (background activity, refractory and skip filters) read 0, and hosts
+then leave these blocks alone.
 
 The numbers are written down here again, and never imported from the driver: they are its oracle.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
 from enum import IntEnum
+from types import MappingProxyType
+from typing import Final
 
 from mixtac_sim.grids import HEIGHT, WIDTH
 
@@ -27,7 +30,6 @@ class Module(IntEnum):
     DVS = 1
     APS = 2
     IMU = 3
-    EXTINPUT = 4
     BIAS = 5
     SYSINFO = 6
     USB = 9
@@ -54,13 +56,11 @@ class Dvs(IntEnum):
     RUN = 3
     HAS_PIXEL_FILTER = 10
     FIRST_PIXEL_ROW = 11
-    HAS_BA_FILTER = 30
     HAS_ROI = 40
     ROI_START_COLUMN = 41
     ROI_START_ROW = 42
     ROI_END_COLUMN = 43
     ROI_END_ROW = 44
-    HAS_SKIP = 50
     HAS_POLARITY = 60
     FLATTEN = 61
     SUPPRESS = 62
@@ -78,7 +78,6 @@ class Aps(IntEnum):
     SIZE_COLUMNS = 0
     SIZE_ROWS = 1
     ORIENTATION = 2
-    COLOR_FILTER = 3
     RUN = 4
     HAS_GLOBAL_SHUTTER = 6
     GLOBAL_SHUTTER = 7
@@ -94,26 +93,12 @@ class Imu(IntEnum):
     """Parameters of the inertial sensor."""
 
     TYPE = 0
-    ORIENTATION = 1
     RUN_ACCEL = 2
     RUN_GYRO = 3
     RUN_TEMPERATURE = 4
     SAMPLE_RATE_DIVIDER = 5
     ACCEL_FULL_SCALE = 7
     GYRO_FULL_SCALE = 10
-
-
-class SysInfo(IntEnum):
-    """Parameters that describe the board."""
-
-    LOGIC_VERSION = 0
-    CHIP = 1
-    IS_MASTER = 2
-    LOGIC_CLOCK = 3
-    ADC_CLOCK = 4
-    USB_CLOCK = 5
-    CLOCK_DEVIATION = 6
-    LOGIC_PATCH = 7
 
 
 class Usb(IntEnum):
@@ -123,96 +108,64 @@ class Usb(IntEnum):
     EARLY_PACKET_DELAY = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Board:
-    """Fixed properties of a production run of cameras.
-
-    Attributes:
-        dvs_inverted: Events carry x in row words and y in column words (the retail chip does).
-        aps_orientation: Bit 2 axes inverted, bit 1 columns and bit 0 rows sent in reverse.
-        adc_mhz: Nominal ADC clock [MHz].
-        usb_mhz: Nominal USB clock [MHz].
-        logic_mhz: Nominal logic clock [MHz].
-        deviation: True clock over nominal clock, in 1/1000.
-    """
-
-    dvs_inverted: bool = True
-    aps_orientation: int = 4
-    adc_mhz: int = 30
-    usb_mhz: int = 80
-    logic_mhz: int = 120
-    deviation: int = 1008
-
-    @property
-    def aps_inverted(self) -> bool:
-        """Whether a readout column of a frame is a row of the picture."""
-        return bool(self.aps_orientation & 4)
-
-    def adc_cycles_to_us(self, cycles: int) -> int:
-        """Convert exposure and interval registers to microseconds, rounded."""
-        return round(cycles * 1000 / (self.adc_mhz * self.deviation))
-
-    def us_to_adc_cycles(self, us: int) -> int:
-        """Convert microseconds to ADC cycles, rounded."""
-        return round(us * self.adc_mhz * self.deviation / 1000)
+ADC_MHZ: Final = 30
+"""Nominal ADC clock [MHz]."""
+USB_MHZ: Final = 80
+"""Nominal USB clock [MHz]."""
+CLOCK_DEVIATION: Final = 1008
+"""True clocks over nominal ones, in 1/1000."""
 
 
-def _read_only(board: Board) -> dict[tuple[int, int], int]:
-    dvs_size = (HEIGHT, WIDTH) if board.dvs_inverted else (WIDTH, HEIGHT)
-    aps_size = (HEIGHT, WIDTH) if board.aps_inverted else (WIDTH, HEIGHT)
-    return {
-        (Module.SYSINFO, SysInfo.LOGIC_VERSION): 18,
-        (Module.SYSINFO, SysInfo.CHIP): 5,
-        (Module.SYSINFO, SysInfo.IS_MASTER): 1,
-        (Module.SYSINFO, SysInfo.LOGIC_CLOCK): board.logic_mhz,
-        (Module.SYSINFO, SysInfo.ADC_CLOCK): board.adc_mhz,
-        (Module.SYSINFO, SysInfo.USB_CLOCK): board.usb_mhz,
-        (Module.SYSINFO, SysInfo.CLOCK_DEVIATION): board.deviation,
-        (Module.SYSINFO, SysInfo.LOGIC_PATCH): 1,
+def adc_cycles_to_us(cycles: int) -> int:
+    """Convert exposure and interval registers to microseconds, rounded."""
+    return round(cycles * 1000 / (ADC_MHZ * CLOCK_DEVIATION))
+
+
+def us_to_adc_cycles(us: int) -> int:
+    """Convert microseconds to ADC cycles, rounded."""
+    return round(us * ADC_MHZ * CLOCK_DEVIATION / 1000)
+
+
+# The retail chip is read out sideways: rows of the wire are columns of the picture.
+_READ_ONLY: Final[Mapping[tuple[int, int], int]] = MappingProxyType(
+    {
+        # Logic version, chip, master, clocks of logic, ADC and USB and their deviation, patch.
+        **{
+            (Module.SYSINFO, param): value
+            for param, value in enumerate((18, 5, 1, 120, ADC_MHZ, USB_MHZ, CLOCK_DEVIATION, 1))
+        },
         (Module.MUX, Mux.HAS_STATISTICS): 1,
-        (Module.DVS, Dvs.SIZE_COLUMNS): dvs_size[0],
-        (Module.DVS, Dvs.SIZE_ROWS): dvs_size[1],
-        (Module.DVS, Dvs.ORIENTATION): 4 if board.dvs_inverted else 0,
+        (Module.DVS, Dvs.SIZE_COLUMNS): HEIGHT,
+        (Module.DVS, Dvs.SIZE_ROWS): WIDTH,
+        (Module.DVS, Dvs.ORIENTATION): 4,
         (Module.DVS, Dvs.HAS_PIXEL_FILTER): 1,
-        # Background activity, refractory and skip filters are not modelled: the capability bits
-        # say so, and hosts then leave them alone.
-        (Module.DVS, Dvs.HAS_BA_FILTER): 0,
-        (Module.DVS, Dvs.HAS_SKIP): 0,
         (Module.DVS, Dvs.HAS_ROI): 1,
         (Module.DVS, Dvs.HAS_POLARITY): 1,
         (Module.DVS, Dvs.HAS_STATISTICS): 1,
-        (Module.APS, Aps.SIZE_COLUMNS): aps_size[0],
-        (Module.APS, Aps.SIZE_ROWS): aps_size[1],
-        (Module.APS, Aps.ORIENTATION): board.aps_orientation,
-        (Module.APS, Aps.COLOR_FILTER): 0,
+        (Module.APS, Aps.SIZE_COLUMNS): HEIGHT,
+        (Module.APS, Aps.SIZE_ROWS): WIDTH,
+        (Module.APS, Aps.ORIENTATION): 4,
         (Module.APS, Aps.HAS_GLOBAL_SHUTTER): 1,
         (Module.IMU, Imu.TYPE): 2,
-        (Module.IMU, Imu.ORIENTATION): 0,
-        (Module.EXTINPUT, 10): 0,
     }
-
-
-def _power_up(board: Board) -> dict[tuple[int, int], int]:
-    values: dict[tuple[int, int], int] = {
+)
+_POWER_UP: Final[Mapping[tuple[int, int], int]] = MappingProxyType(
+    {
         (Module.DVS, Dvs.ROI_END_COLUMN): WIDTH - 1,
         (Module.DVS, Dvs.ROI_END_ROW): HEIGHT - 1,
         (Module.APS, Aps.GLOBAL_SHUTTER): 1,
         (Module.APS, Aps.END_COLUMN): WIDTH - 1,
         (Module.APS, Aps.END_ROW): HEIGHT - 1,
-        (Module.APS, Aps.EXPOSURE): board.us_to_adc_cycles(4000),
-        (Module.APS, Aps.FRAME_INTERVAL): board.us_to_adc_cycles(40_000),
+        (Module.APS, Aps.EXPOSURE): us_to_adc_cycles(4000),
+        (Module.APS, Aps.FRAME_INTERVAL): us_to_adc_cycles(40_000),
         (Module.IMU, Imu.ACCEL_FULL_SCALE): 1,
         (Module.IMU, Imu.GYRO_FULL_SCALE): 1,
-        (Module.USB, Usb.EARLY_PACKET_DELAY): board.usb_mhz * board.deviation,
+        (Module.USB, Usb.EARLY_PACKET_DELAY): USB_MHZ * CLOCK_DEVIATION,
+        **{(Module.DVS, Dvs.FIRST_PIXEL_ROW + k): (HEIGHT, WIDTH)[k % 2] for k in range(16)},
     }
-    for k in range(8):
-        values[Module.DVS, Dvs.FIRST_PIXEL_ROW + 2 * k] = HEIGHT
-        values[Module.DVS, Dvs.FIRST_PIXEL_ROW + 2 * k + 1] = WIDTH
-    return values
-
-
-_STATISTICS: dict[tuple[int, int], tuple[tuple[int, int], int]] = {
-    (module, param + half): ((module, param), 32 if half == 0 else 0)
+)
+_STATISTICS: Final = {
+    (module, param + half)
     for module, param in (
         (Module.MUX, Mux.DVS_DROPPED),
         (Module.DVS, Dvs.ROW_EVENTS),
@@ -225,39 +178,27 @@ _STATISTICS: dict[tuple[int, int], tuple[tuple[int, int], int]] = {
 
 
 class RegisterFile:
-    """All registers of one camera. Not thread safe: the device guards it.
+    """All registers of one camera. Not thread safe: the device guards it."""
 
-    Args:
-        board: The fixed properties of the camera.
-
-    Attributes:
-        writes: Number of registers stored so far.
-    """
-
-    def __init__(self, board: Board) -> None:
-        self._read_only = _read_only(board)
-        self._values = _power_up(board)
-        self._counters: Counter[tuple[int, int]] = Counter()
-        self.writes = 0
+    def __init__(self) -> None:
+        self._values = {**_POWER_UP, **_READ_ONLY}
 
     def read(self, module: int, param: int) -> int:
         """Return a register; what was never written and has no default reads 0."""
-        key = (module, param)
-        if key in _STATISTICS:
-            counter, shift = _STATISTICS[key]
-            return self._counters[counter] >> shift & _MASK
-        if key in self._read_only:
-            return self._read_only[key]
-        return self._values.get(key, 0)
+        return self._values.get((module, param), 0)
 
     def write(self, module: int, param: int, value: int) -> None:
         """Store a register; writes to read-only registers and statistics have no effect."""
         key = (module, param)
-        fixed = key in self._read_only or key in _STATISTICS
-        if not fixed:
+        if key not in _READ_ONLY and key not in _STATISTICS:
             self._values[key] = value & _MASK
-            self.writes += 1
+
+    def statistic(self, module: int, param: int) -> int:
+        """Return the 64-bit statistic whose upper half is at ``param``."""
+        return self.read(module, param) << 32 | self.read(module, param + 1)
 
     def count(self, module: int, param: int, amount: int) -> None:
         """Add to the 64-bit statistic whose upper half is at ``param``."""
-        self._counters[module, param] += amount
+        total = self.statistic(module, param) + amount
+        self._values[module, param] = total >> 32 & _MASK
+        self._values[module, param + 1] = total & _MASK

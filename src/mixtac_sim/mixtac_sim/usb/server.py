@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import socket
@@ -15,11 +16,11 @@ from pathlib import Path
 from typing import Final
 
 from mixtac_sim.usb import wire
-from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.device import Session, VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout, VirtualUsbError
 
-# How long a read may wait in the device before the server checks that the host is still there.
-_SLICE_S: Final = 0.25
+# Longest wait of a read in the device before the server checks that the host is still there.
+_SLICE_MS: Final = 250
 # Pause after a connection could not be accepted, for example for lack of file descriptors.
 _RETRY_S: Final = 0.1
 # Connections that may wait to be accepted: without descriptors they wait until some are free.
@@ -42,33 +43,28 @@ class UsbServer:
     """
 
     def __init__(self, device: VirtualDavis346, path: str) -> None:
+        check_free(path)
         self._device = device
         self.path = path
         self._lock = threading.Lock()
         self._connections: set[socket.socket] = set()
-        # Of each session: after which plugging-in it began, and its open connections.
-        self._plugs: dict[int, int] = {}
+        self._sessions: dict[int, Session] = {}
+        # Open connections of each session.
         self._open: Counter[int] = Counter()
         self._closing = threading.Event()
-        self._listen()
-        self._threads = [threading.Thread(target=self._accept, name='usb-accept', daemon=True)]
-        self._threads[0].start()
-
-    def _listen(self) -> None:
-        """Make the socket."""
-        check_free(self.path)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            Path(self.path).unlink(missing_ok=True)
-            self._listener.bind(self.path)
-            self._inode = os.lstat(self.path).st_ino
-            Path(self.path).chmod(0o600)
+            Path(path).unlink(missing_ok=True)
+            self._listener.bind(path)
+            Path(path).chmod(0o600)
             self._listener.listen(_BACKLOG)
         except OSError as error:
             self._listener.close()
             raise VirtualUsbError(
-                f'cannot listen on {self.path}: {error.strerror}', remedy='choose another socket'
+                f'cannot listen on {path}: {error.strerror}', remedy='choose another socket'
             ) from error
+        self._thread = threading.Thread(target=self._accept, name='usb-accept', daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         """Unplug the camera, end all connections and remove the socket."""
@@ -76,20 +72,14 @@ class UsbServer:
             return
         self._closing.set()
         self._device.unplug()
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
         with self._lock:
-            connections = list(self._connections)
-        for connection in connections:
+            sockets = [self._listener, *self._connections]
+        for each in sockets:
             with contextlib.suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-        # Another program may have replaced the socket.
-        with contextlib.suppress(OSError):
-            if os.lstat(self.path).st_ino == self._inode:
-                Path(self.path).unlink()
-        for thread in self._threads:
-            thread.join(2.0)
+                each.shutdown(socket.SHUT_RDWR)
+        self._thread.join(2.0)
+        self._listener.close()
+        Path(self.path).unlink(missing_ok=True)
 
     def _accept(self) -> None:
         while not self._closing.is_set():
@@ -101,97 +91,72 @@ class UsbServer:
                 continue
             with self._lock:
                 self._connections.add(connection)
-            thread = threading.Thread(
+            threading.Thread(
                 target=self._serve, args=(connection,), name='usb-connection', daemon=True
-            )
-            thread.start()
-            self._threads = [other for other in self._threads if other.is_alive()] + [thread]
+            ).start()
 
     def _serve(self, connection: socket.socket) -> None:
-        session = None
-        reply = bytearray(wire.REPLY.size)
+        number = None
         try:
             with connection, contextlib.suppress(OSError):
                 while True:
                     header = wire.REQUEST.unpack(wire.receive(connection, wire.REQUEST.size))
-                    if session is None:
-                        session = self._join(header[-1])
-                    reply = self._reply(connection, header, session, reply)
+                    if number is None:
+                        number = self._join(header[-1])
+                    status, answer = 0, b''
+                    try:
+                        answer = self._answer(connection, header, self._sessions[number])
+                    except VirtualUsbError as error:
+                        status = error.errno
+                    connection.sendall(wire.REPLY.pack(status, len(answer)) + answer)
         finally:
-            if session is not None:
-                self._leave(session)
             with self._lock:
                 self._connections.discard(connection)
+            if number is not None:
+                self._leave(number)
 
-    def _join(self, session: int) -> int:
+    def _join(self, number: int) -> int:
         with self._lock:
-            self._plugs.setdefault(session, self._device.plugs)
-            self._open[session] += 1
-            return session
+            if number not in self._sessions:
+                self._sessions[number] = Session(self._device)
+            self._open[number] += 1
+            return number
 
-    def _leave(self, session: int) -> None:
+    def _leave(self, number: int) -> None:
         with self._lock:
-            self._open[session] -= 1
-            ended = not self._open[session]
-            if ended:
-                del self._open[session], self._plugs[session]
-        if ended:
-            self._device.release(session)
+            self._open[number] -= 1
+            if self._open[number] == 0:
+                del self._open[number]
+                self._sessions.pop(number).close()
 
-    def _reply(
-        self, connection: socket.socket, header: tuple[int, ...], session: int, reply: bytearray
-    ) -> bytearray:
-        """Answer a request; return the buffer to use for the next reply."""
-        status, size, start = 0, 0, wire.REPLY.size
-        try:
-            if header[0] == wire.READ:
-                if len(reply) != start + header[5]:
-                    reply = bytearray(start + header[5])
-                with memoryview(reply) as view:
-                    size = self._read(connection, header, session, view[start:])
-            else:
-                answer = self._perform(connection, header, session)
-                size = len(answer)
-                reply[start : start + size] = answer
-        except VirtualUsbError as error:
-            status = error.errno
-        wire.REPLY.pack_into(reply, 0, status, size)
-        with memoryview(reply) as view:
-            connection.sendall(view[: start + size])
-        return reply
-
-    def _perform(self, connection: socket.socket, header: tuple[int, ...], session: int) -> bytes:
+    def _answer(
+        self, connection: socket.socket, header: tuple[int, ...], session: Session
+    ) -> bytes:
         operation, kind, request, value, index, length, timeout_ms, _ = header
-        incoming = kind & wire.DIRECTION_IN and operation == wire.CONTROL
-        data = length if incoming else wire.receive(connection, length)
-        self._device.check_present(self._plugs[session])
+        if operation == wire.READ:
+            return self._read(connection, session, kind, length, timeout_ms)
         if operation == wire.CONTROL:
-            limit_s = timeout_ms / 1000 or None
-            return self._device.control(kind, request, value, index, data, limit_s)
-        if operation == wire.CLAIM:
-            self._device.claim(session)
-        elif operation == wire.RELEASE:
-            self._device.release(session)
-        elif operation == wire.RESET:
-            self._device.reset()
-        else:
-            raise ConnectionAbortedError(f'unknown operation {operation}')
+            data = length if kind & wire.DIRECTION_IN else wire.receive(connection, length)
+            return session.control((kind, request, value, index), data, timeout_ms)
+        calls = {wire.CLAIM: session.claim, wire.RELEASE: session.release}
+        calls.get(operation, session.reset)()
         return b''
 
     def _read(
-        self, connection: socket.socket, header: tuple[int, ...], session: int, view: memoryview
-    ) -> int:
-        endpoint, limit_ms = header[1], header[6]
-        self._device.check_present(self._plugs[session])
-        deadline = time.monotonic() + limit_ms / 1000 if limit_ms else None
+        self,
+        connection: socket.socket,
+        session: Session,
+        endpoint: int,
+        length: int,
+        timeout_ms: int,
+    ) -> bytes:
+        deadline = time.monotonic() + timeout_ms / 1000 if timeout_ms else math.inf
         while True:
-            wait = _SLICE_S
-            if deadline is not None:
-                wait = min(wait, max(0.0, deadline - time.monotonic()))
+            left_ms = math.ceil(1000 * (deadline - time.monotonic())) if timeout_ms else _SLICE_MS
             try:
-                return self._device.read_into(endpoint, view, wait)
+                return session.read(endpoint, length, min(max(left_ms, 1), _SLICE_MS))
             except UsbTimeout:
-                if deadline is not None and time.monotonic() >= deadline:
+                if time.monotonic() >= deadline:
                     raise
             # The host sends nothing while it waits: anything readable is its hang-up.
             if select.select([connection], [], [], 0)[0]:

@@ -4,14 +4,13 @@
 
 The simulation provides events, frames and inertial samples ahead of time. Each is sent at its time
 on the camera clock, and only if the register settings at that time allow it: event filters, region
-of interest, enabled modules. The buffer is a bounded ring of bytes.
+of interest, enabled modules. The buffer is bounded.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,150 +19,60 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.usb.registers import (
-    Aps,
-    Board,
-    Dvs,
-    Imu,
-    Module,
-    Mux,
-    RegisterFile,
-    Usb,
-)
+from mixtac_sim.usb.registers import Aps, Dvs, Imu, Module, Mux, RegisterFile, Usb
 from mixtac_sim.usb.words import (
+    ROW_WORD,
     TIMESTAMP_RESET_WORD,
     Blocks,
     ImuReading,
     ImuSettings,
-    ReadoutSettings,
     WordEncoder,
     frame_blocks,
     imu_blocks,
 )
 
-
-class ByteFifo:
-    """A first-in first-out ring of bytes. Not thread safe: the device guards it.
-
-    Args:
-        capacity: Size [bytes].
-    """
-
-    def __init__(self, capacity: int) -> None:
-        self._ring = np.zeros(capacity, np.uint8)
-        self._start = 0
-        self._size = 0
-
-    def __len__(self) -> int:
-        """Return how many bytes wait."""
-        return self._size
-
-    @property
-    def free(self) -> int:
-        """Free bytes."""
-        return len(self._ring) - self._size
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self._start = self._size = 0
-
-    def push(self, words: NDArray[np.uint16]) -> bool:
-        """Append words, little-endian; all or nothing.
-
-        Returns:
-            Whether they fitted.
-        """
-        data = np.ascontiguousarray(words, '<u2').view(np.uint8)
-        if len(data) > self.free:
-            return False
-        at = (self._start + self._size) % len(self._ring)
-        first = min(len(data), len(self._ring) - at)
-        self._ring[at : at + first] = data[:first]
-        self._ring[: len(data) - first] = data[first:]
-        self._size += len(data)
-        return True
-
-    def pop_into(self, out: NDArray[np.uint8]) -> int:
-        """Move bytes to ``out`` and return how many.
-
-        Whole words leave the ring: where ``out`` has an odd length, half of the last one is lost.
-        """
-        count = min(len(out) + len(out) % 2, self._size)
-        first = min(count, len(self._ring) - self._start, len(out))
-        size = min(count, len(out))
-        out[:first] = self._ring[self._start : self._start + first]
-        out[first:size] = self._ring[: size - first]
-        self.drop(count)
-        return size
-
-    def drop(self, count: int) -> None:
-        """Remove the oldest ``count`` bytes; there must be as many."""
-        self._start = (self._start + count) % len(self._ring)
-        self._size -= count
-
-
 FILTER_REGISTERS = range(Dvs.FIRST_PIXEL_ROW, Dvs.SUPPRESS_TYPE + 1)
 """Parameters of module DVS that can change what the filters pass."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class EventFilter:
     """The filter settings at one moment, ready to apply.
 
-    Attributes:
-        keep: Pixels inside the region, ``bool [260, 346]``.
-        muted: Pixels switched off by the pixel filter, ``bool [260, 346]``.
-        flatten: Send every event as OFF.
-        suppressed: Polarity that is not sent, or none.
-        idle: Whether nothing is filtered at all.
+    Args:
+        registers: The settings; regions and pixels are in user orientation, ends inclusive.
     """
 
-    keep: NDArray[np.bool_]
-    muted: NDArray[np.bool_]
-    flatten: bool
-    suppressed: bool | None
-    idle: bool
-
-    @classmethod
-    def from_registers(cls, registers: RegisterFile) -> EventFilter:
-        """Read the settings; regions and pixels are in user orientation, ends inclusive."""
-
+    def __init__(self, registers: RegisterFile) -> None:
         def read(param: int) -> int:
             return registers.read(Module.DVS, param)
 
-        keep = np.zeros((HEIGHT, WIDTH), np.bool_)
+        self._keep = np.zeros((HEIGHT, WIDTH), np.bool_)
         rows = slice(read(Dvs.ROI_START_ROW), read(Dvs.ROI_END_ROW) + 1)
-        keep[rows, read(Dvs.ROI_START_COLUMN) : read(Dvs.ROI_END_COLUMN) + 1] = True
-        muted = np.zeros((HEIGHT, WIDTH), np.bool_)
-        for k in range(8):
-            row = read(Dvs.FIRST_PIXEL_ROW + 2 * k)
-            column = read(Dvs.FIRST_PIXEL_ROW + 2 * k + 1)
+        self._keep[rows, read(Dvs.ROI_START_COLUMN) : read(Dvs.ROI_END_COLUMN) + 1] = True
+        self._muted = np.zeros((HEIGHT, WIDTH), np.bool_)
+        for param in range(Dvs.FIRST_PIXEL_ROW, Dvs.FIRST_PIXEL_ROW + 16, 2):
+            row, column = read(param), read(param + 1)
             if row < HEIGHT and column < WIDTH:
-                muted[row, column] = True
-        suppressed = bool(read(Dvs.SUPPRESS_TYPE)) if read(Dvs.SUPPRESS) else None
-        flatten = bool(read(Dvs.FLATTEN))
-        idle = bool(keep.all()) and not muted.any() and suppressed is None and not flatten
-        return cls(keep, muted, flatten, suppressed, idle)
+                self._muted[row, column] = True
+        self._suppressed = bool(read(Dvs.SUPPRESS_TYPE)) if read(Dvs.SUPPRESS) else None
+        self._flatten = bool(read(Dvs.FLATTEN))
+        whole = self._keep.all() and not self._muted.any()
+        self._idle = whole and self._suppressed is None and not self._flatten
 
     def apply(self, events: Events) -> tuple[Events, int]:
-        """Return the events that pass and how many the pixel filter took."""
-        inside = (events.x < WIDTH) & (events.y < HEIGHT)
-        if not inside.all():
-            events = events[inside]
-        if self.idle:
+        """Return the events that pass and how many the pixel filter rejected."""
+        if self._idle:
             return events, 0
-        passing = self.keep[events.y, events.x]
-        muted = self.muted[events.y, events.x]
-        filtered = int(np.count_nonzero(passing & muted))
+        passing = self._keep[events.y, events.x]
+        muted = passing & self._muted[events.y, events.x]
         passing &= ~muted
-        if self.suppressed is not None:
-            passing &= events.polarity != self.suppressed
-        if not passing.all():
-            events = events[passing]
-        if self.flatten:
+        if self._suppressed is not None:
+            passing &= events.polarity != self._suppressed
+        events = events[passing]
+        if self._flatten:
             off = np.zeros(len(events), np.bool_)
             events = Events(events.t, events.x, events.y, off)
-        return events, filtered
+        return events, int(np.count_nonzero(muted))
 
 
 class Oscillator:
@@ -208,16 +117,18 @@ class StreamAssembler:
     Before all else comes `power_up`.
 
     Args:
-        board: The fixed properties of the camera.
-        fifo: Buffer for the words.
+        capacity: Size of the buffer [bytes].
 
     Attributes:
+        fifo: Bytes that the host has not read yet, words little-endian.
         done_us: True time up to which everything was sent [us].
+        snapshot: Whether one more frame is sent even if frames are off.
+        frames_dropped: Frames that found the buffer full since power-up.
     """
 
-    def __init__(self, board: Board, fifo: ByteFifo) -> None:
-        self._board = board
-        self._fifo = fifo
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self.fifo = bytearray()
         self._events: deque[Events] = deque(maxlen=_MAX_WAITING)
         self._frames: deque[ApsFrame] = deque(maxlen=_MAX_WAITING)
         self._readings: deque[ImuReading] = deque(maxlen=_MAX_WAITING)
@@ -231,14 +142,24 @@ class StreamAssembler:
         """
         self._registers = registers
         self._oscillator = oscillator
-        self._encoder = WordEncoder(inverted=self._board.dvs_inverted)
-        self._filter = EventFilter.from_registers(registers)
+        self._encoder = WordEncoder()
         self._readout = Blocks.empty()
-        self._stalled = False
-        self._snapshot = False
+        self.snapshot = False
+        self.fifo.clear()
+        self.settings_changed()
         self.done_us = 0
         self.frames_dropped = 0
-        self.late_frames = 0
+
+    def push(self, words: NDArray[np.uint16]) -> bool:
+        """Append words to the buffer, all or nothing.
+
+        Returns:
+            Whether they fitted.
+        """
+        fits = 2 * len(words) <= self._capacity - len(self.fifo)
+        if fits:
+            self.fifo += words.astype('<u2', copy=False).tobytes()
+        return fits
 
     @property
     def running(self) -> bool:
@@ -252,11 +173,7 @@ class StreamAssembler:
 
     def settings_changed(self) -> None:
         """Read the event filter settings again."""
-        self._filter = EventFilter.from_registers(self._registers)
-
-    def frames_switched(self, *, on: bool) -> None:
-        """Note that frames were switched on or off: on and at once off still gives one frame."""
-        self._snapshot |= on
+        self._filter = EventFilter(self._registers)
 
     def submit(
         self, events: Events, frames: Iterable[ApsFrame], readings: Iterable[ImuReading]
@@ -275,7 +192,7 @@ class StreamAssembler:
         self._encoder.reset()
         self.done_us = max(self.done_us, true_us)
         if announce and self.running:
-            self._fifo.push(np.array([TIMESTAMP_RESET_WORD], np.uint16))
+            self.push(np.array([TIMESTAMP_RESET_WORD], np.uint16))
 
     def advance(self, true_us: int) -> None:
         """Send everything with a time before ``true_us`` [us, true time]."""
@@ -283,7 +200,7 @@ class StreamAssembler:
         blocks = self._due_blocks(true_us)
         if not self.running:
             self._readout = Blocks.empty()
-            self._fifo.clear()
+            self.fifo.clear()
             return
         if not self._registers.read(Module.DVS, Dvs.RUN):
             events = Events.empty()
@@ -320,10 +237,7 @@ class StreamAssembler:
         return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
 
     def _due_samples(self, true_us: int) -> list[Blocks]:
-        samples: list[Blocks] = []
-        if not (self._readings and self._readings[0].t_us < true_us):
-            return samples
-        settings = self.imu_settings()
+        samples, settings = list[Blocks](), self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
@@ -332,25 +246,19 @@ class StreamAssembler:
 
     def _begin_frame(self, frame: ApsFrame) -> Blocks:
         run = self._registers.read(Module.APS, Aps.RUN)
-        if not (run or self._snapshot) or frame.frame_start_us < self._oscillator.origin_us:
+        if not (run or self.snapshot) or frame.frame_start_us < self._oscillator.origin_us:
             return Blocks.empty()
-        self._snapshot = False
-        self.late_frames += frame.frame_start_us < self.done_us
-        return frame_blocks(frame, self._readout_settings())
+        self.snapshot = False
 
-    def _readout_settings(self) -> ReadoutSettings:
         def read(param: int) -> int:
             return self._registers.read(Module.APS, param)
 
-        return ReadoutSettings(
-            region=(
-                *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
-                *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
-            ),
-            exposure_cycles=read(Aps.EXPOSURE),
-            global_shutter=bool(read(Aps.GLOBAL_SHUTTER)),
-            orientation=self._board.aps_orientation,
+        region = (
+            *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
+            *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
         )
+        cycles, shutter = read(Aps.EXPOSURE), bool(read(Aps.GLOBAL_SHUTTER))
+        return frame_blocks(frame, region, cycles, global_shutter=shutter)
 
     def imu_settings(self) -> ImuSettings:
         """Return what the registers ask of the inertial unit."""
@@ -367,28 +275,20 @@ class StreamAssembler:
         )
 
     def _send(self, events: Events, blocks: Blocks, until_us: int) -> None:
-        before = self._encoder.save()
-        if len(self._fifo) <= _EVENT_SHARE * (len(self._fifo) + self._fifo.free):
-            if self._push(events, blocks, until_us):
-                rows = self._encoder.rows_sent - int(before[-1])
+        before = self._encoder.state.copy()
+        if len(self.fifo) <= _EVENT_SHARE * self._capacity:
+            words = self._encoder.encode(events, blocks, until_us)
+            if self.push(words):
+                rows = int(np.count_nonzero(words & 0xF000 == ROW_WORD))
                 self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
                 self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
                 return
-            self._encoder.restore(before)
+            self._encoder.state[:] = before
         self._count_dropped(len(events))
-        if not self._push(Events.empty(), blocks, until_us):
-            self._encoder.restore(before)
-            self._stalled = True
+        if not self.push(self._encoder.encode(Events.empty(), blocks, until_us)):
+            self._encoder.state[:] = before
             self.frames_dropped += bool(len(blocks.t) or len(self._readout.t))
             self._readout = Blocks.empty()
-
-    def _push(self, events: Events, blocks: Blocks, until_us: int) -> bool:
-        words: NDArray[np.uint16] = self._encoder.encode(
-            events, blocks, until_us, coalesce=self._stalled
-        )
-        fitted = self._fifo.push(words)
-        self._stalled = self._stalled and not fitted
-        return fitted
 
     def _count_dropped(self, events: int) -> None:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)

@@ -40,35 +40,6 @@ def default_socket_path() -> str:
     return str(Path(folder) / f'mixtac-virtual-{os.getuid()}-{domain}.sock')
 
 
-def receive_into(connection: socket.socket, view: memoryview) -> None:
-    """Fill the view from the connection.
-
-    Raises:
-        ConnectionError: The other side closed it.
-    """
-    while view.nbytes:
-        count = connection.recv_into(view)
-        if count == 0:
-            raise ConnectionResetError('the other side closed the connection')
-        view = view[count:]
-
-
-def receive_reply(connection: socket.socket, view: memoryview) -> tuple[int, int]:
-    """Receive a reply with its data in as few system calls as possible; return status and size.
-
-    Raises:
-        ConnectionError: The other side closed it.
-    """
-    header = bytearray(REPLY.size)
-    count = connection.recvmsg_into([header, view])[0]
-    if count < REPLY.size:
-        receive_into(connection, memoryview(header)[count:])
-        count = REPLY.size
-    status, size = REPLY.unpack(header)
-    receive_into(connection, view[count - REPLY.size : size])
-    return int(status), int(size)
-
-
 def receive(connection: socket.socket, count: int) -> bytes:
     """Return exactly ``count`` bytes.
 
@@ -76,7 +47,12 @@ def receive(connection: socket.socket, count: int) -> bytes:
         ConnectionError: The other side closed it.
     """
     data = bytearray(count)
-    receive_into(connection, memoryview(data))
+    view = memoryview(data)
+    while view:
+        received = connection.recv_into(view)
+        if received == 0:
+            raise ConnectionResetError('the other side closed the connection')
+        view = view[received:]
     return bytes(data)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -21,18 +21,16 @@ from mixtac_sim.pixels.aps import ApsFrame
 
 TIMESTAMP_RESET_WORD: Final = 0x0001
 _WRAP_US: Final = 0x8000
-_WRAP_WORD: Final = 0x7000
+_WRAP_WORD: Final = 0x7001
 _STAMP_WORD: Final = 0x8000
-_ROW_WORD: Final = 0x1000
+ROW_WORD: Final = 0x1000
 _COLUMN_WORD: Final = 0x2000
 _ON: Final = 0x1000
-_MAX_WRAPS: Final = 0xFFF
 # Places in the state of the encoder.
 _BASE: Final = 0
 _LAST: Final = 1
 _ROW: Final = 2
 _ROW_TIME: Final = 3
-_ROWS_SENT: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,21 +106,18 @@ def _reordered(
 
 
 @njit(cache=True, nogil=True)
-def _wrap(t: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int) -> int:
+def _wrap(t: int, state: NDArray[np.int64], out: NDArray[np.uint16], n: int) -> int:
     while t - state[_BASE] >= _WRAP_US:
-        count = min((t - state[_BASE]) // _WRAP_US, _MAX_WRAPS) if coalesce else 1
-        state[_BASE] += count * _WRAP_US
+        state[_BASE] += _WRAP_US
         state[_LAST] = state[_BASE]
-        out[n] = _WRAP_WORD | count
+        out[n] = _WRAP_WORD
         n += 1
     return n
 
 
 @njit(cache=True, nogil=True)
-def _stamp(
-    t: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int
-) -> int:
-    n = _wrap(t, state, coalesce, out, n)
+def _stamp(t: int, state: NDArray[np.int64], out: NDArray[np.uint16], n: int) -> int:
+    n = _wrap(t, state, out, n)
     # The FPGA's time never runs backwards: a late word takes the time of the one before it.
     if t > state[_LAST]:
         state[_LAST] = t
@@ -132,16 +127,13 @@ def _stamp(
 
 
 @njit(cache=True, nogil=True)
-def _row(
-    t: int, row: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int
-) -> int:
+def _row(t: int, row: int, state: NDArray[np.int64], out: NDArray[np.uint16], n: int) -> int:
     # Several events of one row at one time share the row word.
     if row != state[_ROW] or max(t, state[_LAST]) != state[_ROW_TIME]:
-        n = _stamp(t, state, coalesce, out, n)
+        n = _stamp(t, state, out, n)
         state[_ROW] = row
         state[_ROW_TIME] = state[_LAST]
-        state[_ROWS_SENT] += 1
-        out[n] = _ROW_WORD | row
+        out[n] = ROW_WORD | row
         n += 1
     return n
 
@@ -157,7 +149,6 @@ def _encode(
     end: NDArray[np.int64],
     words: NDArray[np.uint16],
     state: NDArray[np.int64],
-    coalesce: bool,
     out: NDArray[np.uint16],
 ) -> int:
     n = 0
@@ -166,14 +157,14 @@ def _encode(
     for i in range(len(t) + 1):
         while block < len(block_t) and (i == len(t) or block_t[block] < t[i]):
             if stamped[block]:
-                n = _stamp(block_t[block], state, coalesce, out, n)
+                n = _stamp(block_t[block], state, out, n)
             for k in range(start, end[block]):
                 out[n] = words[k]
                 n += 1
             start = end[block]
             block += 1
         if i < len(t):
-            n = _row(t[i], row[i], state, coalesce, out, n)
+            n = _row(t[i], row[i], state, out, n)
             out[n] = _COLUMN_WORD | column[i] | (_ON if on[i] else 0)
             n += 1
     return n
@@ -182,13 +173,14 @@ def _encode(
 class WordEncoder:
     """Turns events and readout blocks into one continuous word stream.
 
-    Args:
-        inverted: Row words carry x and column words y, as in the retail chip.
+    Row words carry x and column words y, as in the retail chip.
+
+    Attributes:
+        state: What the encoder remembers of the words so far; a copy of it may be put back.
     """
 
-    def __init__(self, *, inverted: bool) -> None:
-        self._inverted = inverted
-        self._state = np.zeros(5, np.int64)
+    def __init__(self) -> None:
+        self.state = np.zeros(4, np.int64)
         self._out = np.empty(1 << 16, np.uint16)
         self.reset()
         # The first calls compile, or load what was compiled: not while data wait.
@@ -196,57 +188,32 @@ class WordEncoder:
         pair = Blocks.from_lists([0, 0], [True, True], [[0], [0]])
         _reordered(pair.words, pair.end, np.zeros(2, np.int64))
 
-    @property
-    def rows_sent(self) -> int:
-        """Number of row words written since construction."""
-        return int(self._state[_ROWS_SENT])
-
     def reset(self) -> None:
         """Restart time at zero; the caller sends the reset word."""
-        rows = self._state[_ROWS_SENT]
-        self._state[:] = (0, 0, -1, -1, rows)
+        self.state[:] = (0, 0, -1, -1)
 
-    def save(self) -> NDArray[np.int64]:
-        """Return the state for `restore`."""
-        return self._state.copy()
-
-    def restore(self, state: NDArray[np.int64]) -> None:
-        """Return to a saved state."""
-        self._state[:] = state
-
-    def encode(
-        self,
-        events: Events,
-        blocks: Blocks,
-        until_us: int,
-        *,
-        coalesce: bool = False,
-    ) -> NDArray[np.uint16]:
+    def encode(self, events: Events, blocks: Blocks, until_us: int) -> NDArray[np.uint16]:
         """Encode everything up to a time, wraps included.
 
         Args:
             events: Sorted by ``t`` [us, camera clock].
             blocks: Readout blocks sorted by time.
             until_us: Time [us, camera clock] up to which wraps are due.
-            coalesce: Send missed wraps as one word with a count, as after a stalled transfer.
 
         Returns:
             Stream words, ``uint16``; a view that the next call overwrites.
         """
-        wraps = max(0, until_us - int(self._state[_BASE])) // _WRAP_US + 2
-        if len(events):
-            wraps += max(0, int(events.t[-1]) - int(self._state[_BASE])) // _WRAP_US
+        last_us = max(until_us, int(events.t[-1]) if len(events) else 0)
+        wraps = max(0, last_us - int(self.state[_BASE])) // _WRAP_US + 2
         needed = 3 * len(events) + len(blocks.t) + len(blocks.words) + wraps
         if needed > len(self._out):
             self._out = np.empty(2 * needed, np.uint16)
-        row, column = (events.x, events.y) if self._inverted else (events.y, events.x)
         count = _encode(
-            *(events.t, row, column, events.polarity),
+            *(events.t, events.x, events.y, events.polarity),
             *(blocks.t, blocks.stamped, blocks.end, blocks.words),
-            *(self._state, coalesce, self._out),
+            *(self.state, self._out),
         )
-        count = _wrap(until_us, self._state, coalesce, self._out, count)
-        return self._out[:count]
+        return self._out[: _wrap(until_us, self.state, self._out, count)]
 
 
 _START: Final = 5
@@ -354,31 +321,6 @@ _REGION_LOW: Final = 0x5200
 _SAMPLES_PER_BLOCK: Final = 58
 
 
-@dataclass(frozen=True, slots=True)
-class ReadoutSettings:
-    """The frame registers that shape a readout.
-
-    Attributes:
-        region: Start column, start row, end column, end row; inclusive, user orientation.
-        exposure_cycles: Exposure register [ADC cycles].
-        global_shutter: All reset columns before the exposure, all signal columns after it.
-        orientation: Bit 2 axes inverted, bit 1 columns and bit 0 rows sent in reverse.
-    """
-
-    region: tuple[int, int, int, int]
-    exposure_cycles: int
-    global_shutter: bool
-    orientation: int
-
-
-def _columns(picture: NDArray[np.uint16], settings: ReadoutSettings) -> NDArray[np.uint16]:
-    start_column, start_row, end_column, end_row = settings.region
-    crop = picture[start_row : end_row + 1, start_column : end_column + 1]
-    columns = crop if settings.orientation & 4 else crop.T
-    columns = columns[::-1] if settings.orientation & 2 else columns
-    return columns[:, ::-1] if settings.orientation & 1 else columns
-
-
 def _column_words(columns: NDArray[np.uint16], special: int) -> NDArray[np.uint16]:
     words = np.empty((columns.shape[0], columns.shape[1] + 2), np.uint16)
     words[:, 0] = special
@@ -404,11 +346,14 @@ def _column_blocks(words: NDArray[np.uint16], start_us: NDArray[np.int64], span:
     )
 
 
-def _header(settings: ReadoutSettings) -> list[int]:
-    words = [_GLOBAL_START if settings.global_shutter else _ROLLING_START]
-    cycles = settings.exposure_cycles
-    words += [_EXPOSURE_WORD | (cycles >> shift & 0x3FF) for shift in (0, 10, 20)]
-    for value in settings.region:
+Region: TypeAlias = tuple[int, int, int, int]
+"""Start column, start row, end column, end row of a picture; inclusive, user orientation."""
+
+
+def _header(region: Region, exposure_cycles: int, *, global_shutter: bool) -> list[int]:
+    words = [_GLOBAL_START if global_shutter else _ROLLING_START]
+    words += [_EXPOSURE_WORD | (exposure_cycles >> shift & 0x3FF) for shift in (0, 10, 20)]
+    for value in region:
         words += [_REGION_HIGH | (value >> 8 & 0xFF), _REGION_LOW | (value & 0xFF)]
     return words
 
@@ -417,22 +362,29 @@ def _single(t: int, *words: int) -> Blocks:
     return Blocks.from_lists([t], [True], [list(words)])
 
 
-def frame_blocks(frame: ApsFrame, settings: ReadoutSettings) -> Blocks:
+def frame_blocks(
+    frame: ApsFrame, region: Region, exposure_cycles: int, *, global_shutter: bool
+) -> Blocks:
     """Lay a frame out as the camera reads it; times are those of the frame.
 
     Args:
         frame: The samples.
-        settings: Registers at the start of the frame.
+        region: What is read of the picture.
+        exposure_cycles: Exposure register [ADC cycles].
+        global_shutter: All reset columns before the exposure, all signal columns after it.
 
     Returns:
         Blocks in readout order; an empty region gives a frame without columns.
     """
     start, exposed = frame.frame_start_us, frame.exposure_start_us
     closed, end = frame.exposure_end_us, frame.frame_end_us
-    resets = _column_words(_columns(frame.reset, settings), _RESET_COLUMN)
-    signals = _column_words(_columns(frame.signal, settings), _SIGNAL_COLUMN)
+    left, top, right, bottom = region
+    # A column of the readout is a row of the picture.
+    part = slice(top, bottom + 1), slice(left, right + 1)
+    resets = _column_words(frame.reset[part], _RESET_COLUMN)
+    signals = _column_words(frame.signal[part], _SIGNAL_COLUMN)
     count = len(resets)
-    if settings.global_shutter:
+    if global_shutter:
         before, after = (exposed - start) / max(count, 1), (end - closed) / max(count, 1)
         reset_at, signal_at, spans = start, closed, (before, after)
     else:
@@ -449,7 +401,7 @@ def frame_blocks(frame: ApsFrame, settings: ReadoutSettings) -> Blocks:
     signal_t = signal_at + np.floor(index * after).astype(np.int64)
     return Blocks.merge(
         [
-            _single(start, *_header(settings)),
+            _single(start, *_header(region, exposure_cycles, global_shutter=global_shutter)),
             _column_blocks(resets, reset_t, spans[0]),
             _single(exposed, _EXPOSURE_START),
             _single(closed, _EXPOSURE_END),

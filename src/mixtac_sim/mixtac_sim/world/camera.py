@@ -13,14 +13,13 @@ from collections.abc import Callable
 import numpy as np
 
 from mixtac_core.events.arrays import Events, Floats
-from mixtac_sim.grids import PIXELS, STEP_US, BlockStreams, cut_block, stream
-from mixtac_sim.optics.renderer import MeshMotion, Renderer
-from mixtac_sim.optics.scene import Flicker
+from mixtac_sim.grids import BLOCK_STEPS, PIXELS, STEP_US, BlockStreams, cut_block, stream
+from mixtac_sim.optics.scene import Flicker, MeshMotion, Renderer
 from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.pixels.noise import NoiseSource, Readout
-from mixtac_sim.world.device import Conditions, DeviceModel, draw_flicker
+from mixtac_sim.world.device import Conditions, DeviceModel
 from mixtac_sim.world.effects import Preset
 
 
@@ -33,10 +32,10 @@ class Camera:
         preset: Difficulty of the sensor.
         seed: Seed of the trial.
         spots: Images of the beads at the start [n, 4], as of `BeadMotion.place`.
+        flicker: Flicker of the lamp.
         elastic_n: Elastic part of the normal force at the start [N].
         aps: When frames are taken; by default with the exposure of the day.
         pixels: Settings of the DVS pixels of a nominal chip.
-        flicker: Flicker of the lamp; drawn from the preset by default.
     """
 
     def __init__(
@@ -46,10 +45,10 @@ class Camera:
         preset: Preset,
         seed: int,
         spots: Floats,
+        flicker: Flicker,
         elastic_n: float = 0.0,
         aps: ApsSettings | None = None,
         pixels: PixelSettings | None = None,
-        flicker: Flicker | None = None,
     ) -> None:
         self._device, self._conditions, self._seed = device, conditions, seed
         self._renderer = Renderer(device.markers.opacity)
@@ -66,7 +65,7 @@ class Camera:
         self._dvs.settle(self._renderer.cover)
         self._rest_light = self._dvs.light.ravel()[:PIXELS].copy()
         self._noise = self._noise_source(settings)
-        self._flicker = draw_flicker(seed, preset.light) if flicker is None else flicker
+        self._flicker = flicker
         self._dvs.light_by(self._flicker)
         speed = preset.bandwidth
         self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
@@ -116,7 +115,7 @@ class Camera:
         aps, dvs, cover, dirty = self._aps, self._dvs, self._renderer.cover, self._renderer.dirty
         light = dvs.light
         first = 0
-        for last in cut_block(travel_px, min(longest, self._flicker.longest_step)):
+        for last in cut_block(travel_px, min(longest, BLOCK_STEPS)):
             from_us, to_us = start_us + first * STEP_US, start_us + last * STEP_US
             aps.expose_before(light, from_us, to_us)
             self._show(place(first, last), float(elastic_n[last - 1]))

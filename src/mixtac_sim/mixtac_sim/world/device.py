@@ -89,10 +89,7 @@ def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
 def draw_flicker(trial_seed: int, light: LightEffects) -> Flicker:
     """Return the flicker of the lamp in a trial."""
     rng = stream(trial_seed, 'flicker')
-    depth, phase = rng.uniform(*light.ripple), rng.random()
-    if light.pwm_hz > 0.0:
-        return Flicker(0.0, light.pwm_hz, phase, switched=True)
-    return Flicker(depth, light.ripple_hz, phase)
+    return Flicker(rng.uniform(*light.ripple), rng.random())
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +143,6 @@ class DeviceModel:
             centre_px=(x + right, y + down),
             roll_rad=self.lens.roll_rad + conditions.camera_roll_rad,
         )
-        if lens == self.lens:
-            return self
         return replace(self, lens=lens, scene=build_scene(lens, self.lighting))
 
     def beads(

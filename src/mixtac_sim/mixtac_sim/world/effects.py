@@ -166,9 +166,7 @@ class LightEffects:
         day: Light over the device's on a day.
         drift_per_s: Relative change of the light while the LEDs warm up [1/s].
         exposure: Exposure of a trial over 7 ms, unless one is set.
-        ripple: Depth of the lamp's ripple: peak over mean, less 1.
-        ripple_hz: Frequency of the ripple [Hz]; twice the mains'.
-        pwm_hz: Frequency at which the LEDs are switched [Hz]; 0 for constant current.
+        ripple: Depth of the lamp's ripple: peak over mean, less 1; 0.05 at most.
         hot_pixels: Number of hot pixels, the upper end excluded.
         frame_burst: Share of pixels that fire when a frame is reset or read.
     """
@@ -177,8 +175,6 @@ class LightEffects:
     drift_per_s: Range = (-1e-4, 0.0)
     exposure: Range = (1.0, 1.0)
     ripple: Range = (0.0, 0.0)
-    ripple_hz: float = 100.0
-    pwm_hz: float = 0.0
     hot_pixels: tuple[int, int] = (10, 120)
     frame_burst: Range = (0.0, 3e-4)
 

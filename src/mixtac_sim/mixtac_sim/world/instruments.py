@@ -308,8 +308,6 @@ class InertialUnit:
             t_us: Simulated time [n] [us], 125 us apart, later than at the previous call.
             wrench: Force [N] and torque [Nm] on the skin [n, 6]; right, down, normal.
         """
-        if not len(t_us):
-            return
         _, left = self._mount.swing(t_us, wrench)
         # The camera looks up, so a press on the skin accelerates it downwards.
         push = self._per_n * left[:, :3] * np.array([1.0, 1.0, -1.0])

@@ -23,7 +23,7 @@ from mixtac_core.recordings import dataset
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import stream
 from mixtac_sim.world.effects import preset as named_preset
-from mixtac_sim.world.profiles import PROFILES
+from mixtac_sim.world.profiles import DEMO_MINIMUM_S, PROFILES
 from mixtac_sim.world.trial import Trial, simulate_trial
 
 TRAINING_PROFILES = (
@@ -76,14 +76,11 @@ class TrialSpec:
         return f'{self.profile}_{seeds}_{self.seconds:g}s_{self.preset}{session}'
 
 
-SHORTEST_S = {'demo': 10.0}
-"""Shortest length of profiles that need some time [s]."""
-
-
 def _spec(
     device: int, trial: int, profile: str, seconds: float, preset: str = TRAINING_PRESET
 ) -> TrialSpec:
-    return TrialSpec(device, trial, profile, max(seconds, SHORTEST_S.get(profile, 0.0)), preset)
+    seconds = max(seconds, DEMO_MINIMUM_S) if profile == 'demo' else seconds
+    return TrialSpec(device, trial, profile, seconds, preset)
 
 
 def training_plan(
@@ -184,14 +181,9 @@ def unseen_devices(count: int, seed: int) -> list[int]:
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
+    seeds, level = (spec.device_seed, spec.trial_seed), named_preset(spec.preset)
     return simulate_trial(
-        spec.device_seed,
-        spec.trial_seed,
-        spec.profile,
-        spec.seconds,
-        sync=True,
-        preset=named_preset(spec.preset),
-        session=spec.session,
+        *seeds, spec.profile, spec.seconds, sync=True, preset=level, session=spec.session
     )
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Floats
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, WEIGHT_20_G, Indenter
@@ -80,15 +79,6 @@ class Segment:
     roll: tuple[float, float] = (0.0, 0.0)
     pull: Pulled | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse to drop what has no weight.
-
-        Raises:
-            SimulationError: The indenter of a drop has no mass.
-        """
-        if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
-            raise SimulationError(f'{self.indenter} cannot be dropped; give it a mass')
-
     def target(self, since_s: Floats) -> Floats:
         """Return the target at times since the segment's start [s]."""
         knots, values = np.array(self.times_s), np.array(self.values)
@@ -119,11 +109,6 @@ def still(count: int) -> Floats:
     return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, np.nan], (count, 1))
 
 
-def _movers(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """Return the segments with a motion or a pull across the normal."""
-    return tuple(each for each in segments if any(each.move) or any(each.roll) or each.pull)
-
-
 @dataclass(frozen=True, slots=True)
 class Profile:
     """Commands of a whole trial; outside its segments nothing touches.
@@ -145,7 +130,8 @@ class Profile:
     def __post_init__(self) -> None:
         """Collect the starts of the segments, to search among, and those that move."""
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
-        object.__setattr__(self, '_moving', _movers(self.segments))
+        moving = tuple(s for s in self.segments if any(s.move) or any(s.roll) or s.pull)
+        object.__setattr__(self, '_moving', moving)
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
@@ -224,6 +210,10 @@ class Profile:
         return max(int(1.0 / (STEPS_PER_PERIOD * fastest * grid_s)), 1)
 
 
+MOST_PLAYS = 16
+"""Scenarios that are kept: more than begin within the lead of a simulation."""
+
+
 class Play(NamedTuple):
     """A scenario and the grid step at which it begins."""
 
@@ -247,40 +237,24 @@ class LiveProfile:
     def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
         self.indenters = indenters
         self._lock = Lock()
-        # The one under way and those to come.
+        # The one under way and those around it.
         self._plays: list[Play] = []
-        self._asked = 0
         self._changed = self._moves = False
 
     def play(self, scenario: Profile, start_us: int) -> None:
         """Play a scenario from a time [us, simulated time] on.
 
         It replaces what is playing then, and what was to begin later.
-
-        Raises:
-            SimulationError: It uses an indenter that the sensor was not prepared for.
         """
-        unknown = set(scenario.indenters) - set(self.indenters)
-        if unknown:
-            raise SimulationError(
-                f'scenario {scenario.name!r} uses {unknown.pop()}; the live sensor knows only '
-                f'{self.indenters}'
-            )
         start = -(-start_us // STEP_US)
         with self._lock:
             self._plays = [play for play in self._plays if play.start < start]
-            self._plays.append(Play(start, scenario))
+            self._plays = [*self._plays[-MOST_PLAYS + 1 :], Play(start, scenario)]
             self._changed = True
-            self._forget()
 
-    def changes(self, until_us: int) -> list[Play] | None:
-        """Return what is played, None if that has not changed since the last call.
-
-        Args:
-            until_us: Simulated time [us] up to which commands have been asked for elsewhere.
-        """
+    def changes(self) -> list[Play] | None:
+        """Return what is played, None if that has not changed since the last call."""
         with self._lock:
-            self._asked = max(self._asked, until_us // STEP_US)
             changed, self._changed = self._changed, False
             return list(self._plays) if changed else None
 
@@ -302,7 +276,7 @@ class LiveProfile:
 
         Where no force is commanded it is 0, of nothing.
         """
-        modes, targets, tools = self._commands(-(-t_us // STEP_US) - 1, 1)
+        modes, targets, tools = self.commands(-(-t_us // STEP_US) - 1, 1)
         if modes[0] != Mode.FORCE:
             return 0.0, None
         return float(targets[0]), self.indenters[tools[0]]
@@ -338,11 +312,6 @@ class LiveProfile:
 
     def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
-        with self._lock:
-            self._asked = max(self._asked, first)
-        return self._commands(first, count)
-
-    def _commands(self, first: int, count: int) -> Commands:
         modes, targets = np.zeros(count, np.int8), np.zeros(count)
         tools = np.zeros(count, np.int8)
         for begin, end, play in self._spans(first, count):
@@ -364,8 +333,3 @@ class LiveProfile:
             for play, end in zip(plays, ends, strict=False)
         ]
         return [span for span in spans if span[0] < span[1]]
-
-    def _forget(self) -> None:
-        """Drop scenarios that were replaced before the simulation's present."""
-        while len(self._plays) > 1 and self._plays[1].start <= self._asked:
-            del self._plays[0]

@@ -127,6 +127,9 @@ class TactileSensor:
 
     Attributes:
         device: The sensor's constants.
+        configure_aps: Changes when frames are taken, from the next exposure that has not begun.
+        configure_pixels: Changes the DVS settings from the next block of 4 ms on, as new biases
+            would.
     """
 
     def __init__(
@@ -174,20 +177,14 @@ class TactileSensor:
             preset,
             trial_seed,
             rest,
+            draw_flicker(day, preset.light),
             aps=aps,
             pixels=pixels,
-            flicker=draw_flicker(day, preset.light),
         )
+        self.configure_aps = self._camera.configure_aps
+        self.configure_pixels = self._camera.configure_pixels
         self._block = 0
         self._late = NOTHING
-
-    def configure_pixels(self, nominal: PixelSettings) -> None:
-        """Change the DVS settings from the next block of 4 ms on, as new biases would."""
-        self._camera.configure_pixels(nominal)
-
-    def configure_aps(self, settings: ApsSettings) -> None:
-        """Change the frame settings from the next exposure that has not begun."""
-        self._camera.configure_aps(settings)
 
     def advance(self, until_us: int) -> SensorOutput:
         """Return what happened from the last call's time to before ``until_us``.

@@ -90,15 +90,13 @@ def simulate_trial(
     reference = ReferenceSensor(trial_seed, preset)
     samples = reference.process(output.wrench_us, output.wrench)
     frames = output.frames
-    images = np.empty((len(frames), HEIGHT, WIDTH), np.uint16)
-    for image, frame in zip(images, frames, strict=True):
-        image[:] = frame.intensity
+    images = np.array([frame.intensity for frame in frames], np.uint16)
     ends = np.array([frame.frame_end_us for frame in frames], np.int64)
     transfer = stream(trial_seed, 'frame transfer').integers(*TRANSFER_US, len(frames))
     return Trial(
         profile=profile,
         events=output.events,
-        frames=images,
+        frames=images.reshape(-1, HEIGHT, WIDTH),
         exposure_start_us=np.array([frame.exposure_start_us for frame in frames], np.int64),
         exposure_end_us=np.array([frame.exposure_end_us for frame in frames], np.int64),
         arrival_us=ends + transfer,

@@ -38,10 +38,13 @@ def whole(tmp_path_factory):
     return folder
 
 
-def test_a_data_set_is_its_bags_and_its_description(whole):
+def test_a_data_set_is_its_bags_and_its_description_and_left_alone_when_finished(whole):
     names = {path.name for path in whole.iterdir()}
     assert names == {'dataset.yaml', 'trial_000', 'trial_001'}
     assert DatasetDescription.read(whole).complete
+    before = contents(whole)
+    assert generate(description(), whole) == 0
+    assert contents(whole) == before
 
 
 def test_processes_write_the_same_bytes(whole, tmp_path):
@@ -98,12 +101,6 @@ def test_a_half_written_bag_is_made_anew(whole, tmp_path):
         == (contents(whole)[(whole / 'trial_000' / 'trial_000.mcap').relative_to(whole)])
     )
     assert not (tmp_path / UNFINISHED).exists()
-
-
-def test_a_finished_data_set_is_left_alone(whole):
-    before = contents(whole)
-    assert generate(description(), whole) == 0
-    assert contents(whole) == before
 
 
 def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
 
 from mixtac_core.events.codec import decode
 from mixtac_core.recordings.bag import BagFile
@@ -17,12 +16,10 @@ from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_core.recordings.summary import summarise
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_sim.bags.camera import TrialClocks
-from mixtac_sim.bags.trial_bag import BAG_TOPICS, trial_messages, write_trial
+from mixtac_sim.bags.messages import TrialClocks, trial_messages
+from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
-from mixtac_sim.world.device import draw_conditions
-from mixtac_sim.world.effects import preset
 from mixtac_sim.world.trial import TrialStream
 
 SPEC = TrialSpec('press_one', 'press', 2.8, 11, 12, 'easy', 'train')
@@ -142,35 +139,6 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
         assert [rates.x, rates.y, rates.z] == angular[index].tolist()
 
 
-def test_messages_are_what_ros_makes_of_their_own_content(folder):
-    pytest.importorskip('rclpy', reason='compares with the serialiser of ROS')
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    from mixtac_core.node.topics import message_class
-
-    found = first_messages(folder)
-    assert set(found) == {each.resolved('mixtac') for each in BAG_TOPICS}
-    for each in BAG_TOPICS:
-        data = found[each.resolved('mixtac')]
-        message = deserialize_message(data, message_class(each.type_name))
-        assert same_but_padding(data, serialize_message(message)), each.name
-
-
-def same_but_padding(ours, of_ros):
-    """Compare; ROS pads at the end too, and leaves padding as it finds the memory."""
-    pairs = zip(ours, of_ros, strict=False)
-    same = all(mine == theirs or mine == 0 for mine, theirs in pairs)
-    return same and 0 <= len(of_ros) - len(ours) < 16
-
-
-def first_messages(folder):
-    found = {}
-    with Reader(folder / SPEC.name) as reader:
-        for connection, _, data in reader.messages():
-            found.setdefault(connection.topic, bytes(data))
-    return found
-
-
 def test_the_bag_is_whole_and_says_that_it_is_simulated(folder, bag):
     summary = summarise(folder / SPEC.name)
     figures = summary.events['/mixtac/events']
@@ -199,25 +167,11 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     assert abs(measured - expected) < 0.004
 
 
-def test_contact_truth_goes_with_the_force_in_the_contact_frame(bag):
-    _, forces = bag.wrenches(TRUTH + 'wrench')
-    points = [m.point for _, _, m in bag.messages(TRUTH + 'contact')]
-    right, down = draw_conditions(SPEC.trial_seed, preset(SPEC.preset)).contact_mm
-    assert {(point.x, point.y) for point in points} == {(1e-3 * right, -1e-3 * down)}
-    depths = np.array([point.z for point in points])
-    assert len(depths) == len(forces)
-    assert 0.2e-3 < depths.max() < 5e-3
-    assert np.corrcoef(depths, forces[:, 2])[0, 1] > 0.8
-
-
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
     spec = replace(SPEC, profile='impact', seconds=2.6)
     first, again, other = (
         trial_messages(TrialStream(each)) for each in (spec, spec, replace(spec, trial_seed=13))
     )
-    compared = 0
-    for one, same in zip(first, again, strict=True):
-        assert one == same
-        compared += 1
-    assert compared > 5000
-    assert any(one != next(other) for one in trial_messages(TrialStream(spec)))
+    messages = list(first)
+    assert messages == list(again)
+    assert messages != list(other)

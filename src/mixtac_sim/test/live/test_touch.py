@@ -9,7 +9,7 @@ import pytest
 
 from mixtac_core.events.errors import MixtacError
 from mixtac_sim.live import touch as live_gestures
-from mixtac_sim.live.touch import ENDLESS_S, TouchControl
+from mixtac_sim.live.touch import TouchControl
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.elastomer import LIVE_INDENTERS
 from mixtac_sim.world.segments import LiveProfile
@@ -55,20 +55,6 @@ def control(sensor):
 
 
 GESTURES = ('press', 'pull', 'slide', 'torsion', 'load', 'drop', 'vibrate', 'release')
-
-
-@pytest.mark.parametrize('gesture', GESTURES)
-def test_every_gesture_has_defaults_and_a_description(control, gesture):
-    assert control.touch(gesture=gesture, object='weight_20_g')
-
-
-def test_a_press_reaches_its_force_and_goes_away(sensor, control):
-    control.touch(gesture='press', force=0.7, hold=1.0)
-    modes, targets = sensor.commands(2_000_000)
-    assert targets.max() == pytest.approx(0.7)
-    held = np.count_nonzero(np.isclose(targets, 0.7)) * STEP_US * 1e-6
-    assert held == pytest.approx(1.0, abs=0.02)
-    assert not modes[-100:].any()
 
 
 def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
@@ -152,16 +138,6 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(sensor, control, req
     with pytest.raises(MixtacError):
         control.touch(**request_)
     assert sensor.profile.end_us() is None
-
-
-def test_a_scenario_goes_on_until_the_next_begins(sensor, control):
-    control.touch(gesture='press', force=0.5, hold=0.0)
-    sensor.commands(1_000_000)
-    control.touch(gesture='press', force=0.2, hold=0.0)
-    modes, targets = sensor.commands(1_000_000 + AHEAD_US)
-    assert (modes == Mode.FORCE).all()
-    assert np.allclose(targets, 0.5)
-    assert sensor.profile.end_us() > 1e6 * ENDLESS_S
 
 
 def test_what_was_pulled_away_touches_where_it_did_at_first():

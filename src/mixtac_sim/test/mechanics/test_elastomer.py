@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The force law against Hayes' flat punch, Hertz's sphere and an independent table."""
+"""The force law against published numbers, stiffening, and shear against Coulomb and Mindlin."""
 
 import numpy as np
 import pytest
 
-from mixtac_sim.mechanics.elastomer import HEMISPHERE, Indenter, Layer, force_law
-from mixtac_sim.mechanics.layer import punch_factor, surface_mobility
+from mixtac_sim.mechanics.elastomer import HEMISPHERE, Indenter, Layer, Shear, force_law
+from mixtac_sim.mechanics.layer import punch_factor
 
 # Flat punch on a bonded incompressible layer: Hayes et al. 1972 give 1.281, 3.609 and 9.069 for
 # 0.2, 1 and 2; the others are from a separate solution of the same equation.
@@ -60,8 +60,50 @@ def test_mesh_is_a_spring_in_series():
         )
 
 
-def test_mobility_has_both_limits():
-    t = np.array([1e-3, 1e-2, 0.0199, 0.0201, 15.0, 19.9, 25.0])
-    mobility = surface_mobility(t)
-    np.testing.assert_allclose(mobility[:4], 2.0 / 3.0 * t[:4] ** 3, rtol=2e-3)
-    np.testing.assert_allclose(mobility[4:], 1.0, atol=1e-6)
+LAYER = Layer(180.0, 4.0)
+
+
+@pytest.mark.parametrize('stiffening', [0.5, 3.0])
+def test_large_strains_stay_below_those_of_rubber_in_compression(stiffening):
+    # A neo-Hookean block has (1 / l^2 - l) / (3 (1 - l)) times the linear stress, l = 1 - strain.
+    linear, stiff = force_law(LAYER, HEMISPHERE), force_law(LAYER, HEMISPHERE, np.inf, stiffening)
+    for strain in (0.2, 0.3, 0.4):
+        depth, left = 4.0 * strain, 1.0 - strain
+        gain = stiff.force_at(depth) / linear.force_at(depth)
+        assert gain == pytest.approx(1.0 + stiffening * strain**2, rel=0.01)
+        assert gain < (left**-2 - left) / (3.0 * strain)
+
+
+SOFT = Layer(150.0, 4.0)
+FORCE, RADIUS = np.full(50, 0.8), np.full(50, 2.5)
+DEPTH = np.linspace(0.0, 1.5, 50)
+
+
+def pull(friction, lean=0.5, **more):
+    return Shear(SOFT, friction, (lean, 0.0), **more).at(FORCE, DEPTH, RADIUS)
+
+
+def test_stick_is_linear_up_to_the_limit():
+    moved, force = pull(0.6)
+    stiffness = 0.05 * np.pi * 4.5**2 / 4.0  # G A / h, N/mm
+    np.testing.assert_allclose(force[:, 0], np.minimum(stiffness * 0.5 * DEPTH, 0.48), rtol=1e-9)
+    np.testing.assert_allclose(force[:, 0], stiffness * moved[:, 0], rtol=1e-9)
+    assert np.all(force[:, 1] == 0.0)
+
+
+def test_partial_slip_is_mindlins_curve():
+    _, force = pull(0.6, 0.8, partial_slip=True)
+    limit, stiffness = 0.48, 0.05 * np.pi * 4.5**2 / 4.0
+    inside = (force[:, 0] < 0.999 * limit) & (DEPTH > 0.0)
+    # Displacement over that of full slip, 1 - (1 - Q / mu F)^(2/3); full slip at 1.5 mu F / k.
+    share = 1.0 - (1.0 - force[inside, 0] / limit) ** (2.0 / 3.0)
+    np.testing.assert_allclose(share * 1.5 * limit / stiffness, 0.8 * DEPTH[inside], rtol=1e-6)
+    assert force[-1, 0] == pytest.approx(limit)
+    assert force[1, 0] == pytest.approx(stiffness * 0.8 * DEPTH[1], rel=0.05)
+
+
+def test_friction_falls_with_the_load():
+    light = Shear(SOFT, 0.6, (5.0, 0.0), 1.0 / 3.0)
+    force_n = np.array([0.1, 1.0, 8.0])
+    _, force = light.at(force_n, np.full(3, 3.0), np.full(3, 2.5))
+    np.testing.assert_allclose(force[:, 0] / force_n, [0.6 * 0.1 ** (-1 / 3), 0.6, 0.3], rtol=1e-9)

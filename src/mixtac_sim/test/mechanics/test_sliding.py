@@ -91,27 +91,6 @@ def test_partial_slip_leaves_the_circle_of_cattaneo_and_mindlin_stuck():
     assert not found.pull_n[:, 0].any()
 
 
-def test_partial_slip_is_the_difference_of_two_sliding_pressures():
-    """Cattaneo's traction by rings: that of a full slide, less that of one on the stuck circle.
-
-    The integral of the traction is the pull; the way is that of the centre of the two Hertzian
-    tractions, each (2 - nu) pi q0 a / 8 G over a half-space, in units of the way of the whole.
-    """
-    r = (np.arange(40_000) + 0.5) / 40_000 * RADIUS
-    rings = 2.0 * np.pi * r * RADIUS / 40_000
-    largest = MU * 1.5 * 0.8 / (np.pi * RADIUS**2)  # traction at the centre of a full slide
-    whole = 1.5 * MU * 0.8 / Shear(LAYER, MU, (0.0, 0.0)).stiffness(np.array([RADIUS]))[0]
-    found = moved(along(0, whole, 300))
-    for share in (0.9, 0.6, 0.3):
-        stuck = share * RADIUS
-        slid = largest * np.sqrt(1.0 - (r / RADIUS) ** 2)
-        inside = largest * share * np.sqrt(np.maximum(1.0 - (r / stuck) ** 2, 0.0))
-        pull = float(np.sum((slid - inside) * rings))
-        way = whole * (largest * RADIUS - largest * share * stuck) / (largest * RADIUS)
-        at = np.interp(way, np.arange(1, 301) * whole / 300, found.pull_n[:, 0])
-        assert at == pytest.approx(pull, rel=1e-4)
-
-
 def test_a_roll_moves_the_contact_and_pulls_at_nothing():
     steps = np.zeros((600, 5))
     steps[:200, 0] = 0.2 / 200  # pulled, then rolled, then pulled back

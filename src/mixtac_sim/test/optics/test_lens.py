@@ -1,13 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The lens against thin-lens numbers, and the bead images against the lens."""
+"""The lens and the bead images against thin-lens numbers and OpenCV."""
 
+import cv2
 import numpy as np
 import pytest
 
+from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, force_law
-from mixtac_sim.optics.scene import Lens
-from mixtac_sim.world.device import draw_device
+from mixtac_sim.optics.scene import ONE, Lens, Scene, pixel_slopes
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.world.device import draw_conditions, draw_device
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.sensor import TactileSensor
 
 LENS = Lens(2.8, 2.0, 15.0, 1e-6, 0.0, 0.0, 0.0, (173.0, 130.0))
 
@@ -43,16 +50,6 @@ def test_beads_at_rest_are_where_the_lens_puts_them(motion):
     np.testing.assert_allclose(spots[:, 3], expected, rtol=1e-9)
 
 
-def test_bead_size_is_that_of_its_projection(motion):
-    device, beads = motion
-    spots = beads.place(0, 0.0, (0.0, 0.0))
-    m, lens = device.markers, device.lens
-    right, _ = lens.project(m.x_mm + 0.4, m.y_mm, m.depth_mm)
-    left, _ = lens.project(m.x_mm - 0.4, m.y_mm, m.depth_mm)
-    near = np.hypot(m.x_mm, m.y_mm) < 6.0
-    np.testing.assert_allclose(spots[near, 2], 0.5 * (right - left)[near], rtol=0.06)
-
-
 def test_press_moves_beads_outwards_by_pixels(motion):
     device, beads = motion
     rest = beads.place(0, 0.0, (0.0, 0.0)).copy()
@@ -76,8 +73,62 @@ def test_shear_moves_all_of_the_contact_one_way(motion):
     assert 0.5 < shift.max() < 0.2 * 1.3 * beads.px_per_mm
 
 
-def test_beads_do_not_interpenetrate():
-    m = draw_device(7).markers
-    places = np.stack([m.x_mm, m.y_mm, m.depth_mm])
-    apart = np.linalg.norm(places[:, :, None] - places[:, None, :], axis=0)
-    assert np.min(apart + 10.0 * np.eye(len(m.x_mm))) > 0.8
+def opencv(lens, x, y, depth, roll=0.0):
+    """Return what OpenCV makes of points: a pinhole with Brown distortion, rolled by an angle."""
+    scale, (column, row) = lens.image_distance_px, lens.centre_px
+    points = np.stack([x, y, lens.distance_mm(depth)], axis=1)
+    camera = np.array([[scale, 0.0, column], [0.0, scale, row], [0.0, 0.0, 1.0]])
+    found, _ = cv2.projectPoints(
+        points, np.array([0.0, 0.0, roll]), np.zeros(3), camera, np.array([lens.k1, lens.k2, 0, 0])
+    )
+    return found[:, 0].T
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_projection_is_opencvs(seed):
+    device = draw_device(seed)
+    m = device.markers
+    found = np.stack(device.lens.project(m.x_mm, m.y_mm, m.depth_mm))
+    expected = opencv(device.lens, m.x_mm, m.y_mm, m.depth_mm)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize('name', ['paper_like', 'hard'])
+def test_moved_camera_is_opencvs(name):
+    device, day = draw_device(2, preset(name)), draw_conditions(5, preset(name))
+    lens, m = device.on_day(day).lens, device.markers
+    assert lens != device.lens
+    expected = opencv(lens, m.x_mm, m.y_mm, m.depth_mm, day.camera_roll_rad)
+    found = np.stack(lens.project(m.x_mm, m.y_mm, m.depth_mm))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    # The trial draws the same beads there.
+    moved = TactileSensor(2, 5, make_profile('idle', 1, 1.0), preset=preset(name)).device
+    assert moved.lens == lens
+    law = force_law(moved.layer, HEMISPHERE)
+    beads = moved.beads(moved.layer, (0.0, 0.0), (HEMISPHERE,), [law])
+    np.testing.assert_allclose(beads.place(0, 0.0, (0.0, 0.0))[:, :2], expected.T, atol=1e-6)
+
+
+def test_rays_of_a_rolled_camera_undo_its_projection():
+    lens = draw_device(2).on_day(draw_conditions(5, preset('hard'))).lens
+    slope_x, slope_y = pixel_slopes(lens)
+    distance = float(lens.distance_mm(1.0))
+    x, y = lens.project(slope_x * distance, slope_y * distance, np.ones_like(slope_x))
+    rows, columns = np.mgrid[0:260, 0:346]
+    inside = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) < 165
+    np.testing.assert_allclose(x[inside], columns[inside], atol=0.05)
+    np.testing.assert_allclose(y[inside], rows[inside], atol=0.05)
+
+
+def test_overlapping_beads_hide_each_other_as_layers_do():
+    # Each lets 1 - c of what is behind it through, so two let (1 - c)^2 through.
+    scene = Scene(np.zeros(PADDED, np.float32) + 1.0, np.full(PADDED, 99.0, np.float32))
+    dvs = Dvs(scene, draw_device(1).spread, PixelSettings(), np.random.default_rng(0))
+
+    def covered(opacity):
+        dvs.settle(np.full(TILES * TILE, round(opacity * ONE), np.int32))
+        return (float(dvs.light.ravel()[:PIXELS].mean()) - 1.0) / 99.0
+
+    one, two = covered(0.8), covered(1.6)
+    assert one == pytest.approx(1.0 - np.exp(-0.8), abs=0.02)
+    assert 1.0 - two == pytest.approx((1.0 - one) ** 2, abs=0.02)

@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from mixtac_sim.grids import PADDED, PIXELS, TILES
-from mixtac_sim.optics.renderer import ONE
-from mixtac_sim.optics.scene import Scene
+from mixtac_sim.optics.scene import ONE, Scene
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
 from mixtac_sim.pixels.dvs import Dvs
 from mixtac_sim.pixels.noise import NoiseSource
@@ -78,18 +77,6 @@ def test_sinusoidal_light_recovers_the_thresholds():
     assert np.corrcoef(found, true)[0, 1] > 0.9
 
 
-def test_fall_is_counted_in_off_thresholds():
-    settings = PixelSettings(0.2, 0.3, 1e5, 1e3, **QUIET)
-
-    def light(t):
-        return 2000.0 * np.exp(-3.05 * np.clip(t - 1.2, 0.0, 1.0))
-
-    _, _, on = flicker(settings, even_spread(), light, 1.5, 5e-3)
-    assert not on.any()
-    # 3.05 log units less where each pixel stood between its thresholds, in steps of 0.3.
-    assert len(on) / PIXELS == pytest.approx((3.05 - 0.1) / 0.3 - 0.5, abs=0.6)
-
-
 @pytest.mark.parametrize(('lux', 'corner'), [(10.0, 25.0), (100.0, 250.0), (4e4, 500.0)])
 def test_bandwidth_grows_with_the_light_up_to_the_source_follower(lux, corner):
     follower = 500.0 if lux > 1e3 else 1e6
@@ -120,14 +107,6 @@ def test_blind_time_caps_the_rate():
     assert np.diff(one).min() >= 1.99e-3
 
 
-def test_events_lie_between_the_ends_of_a_step():
-    settings = PixelSettings(0.1, 0.1, 1e6, 1e4, **QUIET)
-    t, _, on = flicker(settings, even_spread(), lambda t: 100.0 if t <= 1.05 else 150.0, 0.2, 4e-3)
-    assert on.all()
-    assert t.min() >= 1.048 - 1e-9
-    assert t.max() <= 1.056 + 1e-9
-
-
 def test_hot_pixels_fire_at_their_rates():
     spread = PixelSpread(*even_spread()[:3], np.array([50, 60]), np.array([100.0, 300.0]))
     settings = PixelSettings(**QUIET)
@@ -137,11 +116,3 @@ def test_hot_pixels_fire_at_their_rates():
     assert counts[50] == pytest.approx(1000, rel=0.1)
     assert counts[60] == pytest.approx(3000, rel=0.06)
     assert counts.sum() == counts[50] + counts[60]
-
-
-def test_frames_disturb_pixels_at_once():
-    settings = PixelSettings(**QUIET)
-    noise = NoiseSource(np.full(PIXELS, 10.0, np.float32), settings, even_spread(), 1e-2, 1)
-    keys = noise.block(0, 4_000_000, [1_000_000])
-    assert len(keys) == pytest.approx(900, rel=0.15)
-    assert np.ptp(keys >> 18) <= 60_000

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Three drivers read the same virtual camera and see what was put in.
+"""Two drivers read the same virtual camera and see what was put in.
 
-libcaer and dv-processing know nothing of Mixtac; the third is ours. Each
+libcaer knows nothing of Mixtac; the other is ours. Each
 runs unmodified in a process of its own. Its libusb talks to umockdev, a bridge forwards to the
 virtual camera's socket. The clients run in the interpreter that ``MIXTAC_CLIENT_PYTHON`` names,
 else in the running one if it has them.
@@ -13,11 +13,9 @@ a client departs from the protocol there, the test states exactly how.
 
 from __future__ import annotations
 
-import struct
-
 import numpy as np
 import pytest
-from umockdev_scene import FULL, IMU_RAW, IMU_REST, REGION, times_of
+from umockdev_scene import FULL, IMU_RAW, REGION, times_of
 from umockdev_session import CLIENTS, need_umockdev, run_client
 
 pytestmark = pytest.mark.umockdev
@@ -53,16 +51,8 @@ def subtracted(reset, signal):
     return np.where(over, 1023, np.clip(reset.astype(int) - signal, 0, 1023))
 
 
-def subtracted_8_bit(reset, signal):
-    """The same of the upper eight bits."""
-    reset, signal = reset.astype(int) >> 2, signal.astype(int) >> 2
-    return np.where((reset < 96) | (signal == 0), 255, np.maximum(reset - signal, 0))
-
-
 def image(client, reset, signal):
     """Return the picture that a client makes of samples, by its own rule."""
-    if client == 'dv':
-        return subtracted_8_bit(reset, signal)
     return subtracted(reset, signal) << (0 if client == 'ours' else 6)
 
 
@@ -71,17 +61,12 @@ def units(client):
     return (GRAVITY, DEGREE) if client == 'ours' else (1.0, 1.0)
 
 
-def check_frame(result, number, frame, corner=(0, 0), late_us=0):
+def check_frame(result, number, frame, corner=(0, 0)):
     """Compare a frame with what was sent, as far as the client tells."""
     expected = image(result.client, frame.reset, frame.signal)
     np.testing.assert_array_equal(result.frames[number], expected)
     assert tuple(result.seen['corners'][number]) == corner
-    times = [t + late_us for t in times_of(frame)]
-    if result.client == 'dv':
-        # It takes the exposure from the register words, which say 4 us in the frames by hand.
-        exposure_us = 4 if number >= SCENE_FRAMES else times[2] - times[1]
-        times = [-1, times[1], times[1] + exposure_us, -1]
-    assert result.seen['frame_times'][number].tolist() == times
+    assert result.seen['frame_times'][number].tolist() == list(times_of(frame))
 
 
 # The mixed scene.
@@ -124,18 +109,8 @@ def test_edges_are_those_of_the_scene(result):
 
 
 def test_wrap_counts_and_resets_move_the_time_of_events(result):
-    hard = result.hard
     seen = result.seen['events'][len(result.scene.events) :].tolist()
-    expected = [list(event) for event in hard.events]
-    before = [event[0] > 1_000_000 for event in expected].count(True)
-    if result.client == 'dv':
-        for event in expected[before:]:
-            event[0] += int(result.seen['restart_us'])
-        # At a reset it forgets events that it has not handed on yet, up to 10 ms of them.
-        seen_before = len(seen) - len(expected) + before
-        assert before - 1 <= seen_before
-        expected[seen_before:before] = []
-    assert seen == expected
+    assert seen == [list(event) for event in result.hard.events]
 
 
 def test_frame_of_a_region(result):
@@ -152,19 +127,14 @@ def test_incomplete_frames_are_dropped(result):
 
 def test_frame_after_a_reset(result):
     frame = result.hard.marks['whole']
-    check_frame(result, len(result.frames) - 1, frame, late_us=int(result.seen['restart_us']))
+    check_frame(result, len(result.frames) - 1, frame)
 
 
 def test_inertial_sample_cut_by_a_reset(result):
     seen = result.seen['imu'][len(result.scene.readings) :]
-    expected = [imu_row(result.client, IMU_RAW)]
-    if result.client == 'dv':
-        # It puts the bytes before and after the reset together.
-        data = struct.pack('>7h', *IMU_RAW)[:7] + bytes(IMU_REST)
-        expected.insert(0, imu_row(result.client, struct.unpack('>7h', data)))
-    assert len(seen) == len(expected)
-    np.testing.assert_allclose(seen[:, 1:], expected, rtol=1e-5, atol=1e-6)
-    assert seen[-1, 0] == result.hard.marks['imu'] + int(result.seen['restart_us'])
+    assert len(seen) == 1
+    np.testing.assert_allclose(seen[0, 1:], imu_row(result.client, IMU_RAW), rtol=1e-5, atol=1e-6)
+    assert seen[0, 0] == result.hard.marks['imu']
 
 
 def imu_row(client, raw):
@@ -176,39 +146,20 @@ def imu_row(client, raw):
 
 def test_edges_around_a_reset(result):
     seen = result.seen['edges'].tolist()
-    rising = [result.hard.marks['rising'] + int(result.seen['restart_us']), 3]
-    assert seen[-1] == rising
-    # dv-processing does not report the reset.
-    resets = sum(code == RESET_EDGE for _, code in seen)
-    assert resets == (result.client != 'dv')
+    assert seen[-1] == [result.hard.marks['rising'], 3]
+    assert sum(code == RESET_EDGE for _, code in seen) == 1
 
 
 # What the clients wrote.
 
 
-REGISTERS_UNLIKE_LIBCAER = {
-    # Our defaults are 7 ms of exposure and a shorter delay of early packets.
-    'ours': {(2, 12): 211_680, (9, 1): 16_128},
-    # It wants no edges, frames as often as can be, and three biases switched off.
-    'dv': {
-        **{(4, k): 0 for k in range(1, 6)},
-        (4, 13): 1210,
-        (4, 14): 605,
-        (2, 13): 0,
-        (5, 9): 14,
-        (5, 26): 14,
-        (5, 27): 14,
-    },
-}
+UNLIKE_LIBCAER = {(2, 12): 211_680, (9, 1): 16_128}
+"""Our defaults are 7 ms of exposure and a shorter delay of early packets."""
 
 
-@pytest.mark.parametrize('client', [each for each in CLIENTS if each != 'libcaer'])
-def test_registers_are_those_that_libcaer_writes(sessions, client):
+def test_registers_are_those_that_libcaer_writes(sessions):
     """All writable ones, biases included; that is what makes a camera see alike."""
-    reference, written = sessions('libcaer').registers, sessions(client).registers
+    reference, written = sessions('libcaer').registers, sessions('ours').registers
     unlike = {place: value for place, value in written.items() if value != reference[place]}
-    assert unlike == REGISTERS_UNLIKE_LIBCAER[client]
+    assert unlike == UNLIKE_LIBCAER
     assert len(written) > 100
-
-
-# Without a client.

@@ -83,8 +83,9 @@ def test_driver_streams_on_after_every_failure_of_the_bus(session):
             inject(fault)
             session.wait_for_failure(kind, times)
             session.wait_for_stream()
-        device.unplug(1.0)
+        device.unplug()
         session.wait_for_failure('DisconnectedError', 1)
+        device.plug_in()
         figures = session.wait_for_stream()
         assert figures['held'] == held
         session.done.touch()

@@ -77,5 +77,5 @@ def test_other_versions_are_refused(client, kind, part, version, tmp_path, capfd
 
 
 def test_the_next_firmware_is_refused_by_our_driver(tmp_path):
-    """libcaer and dv-processing look at its minor version only and open it."""
+    """libcaer looks at its minor version only and opens it."""
     assert 'firmware 1.6' in refusal('ours', NextFirmware, tmp_path)

@@ -7,34 +7,10 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-import pytest
 from usb_oracle import APS, IMU, camera, decode, drain, events_of, some_frame, write
 
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.usb.registers import Board
 from mixtac_sim.usb.words import ImuReading
-
-
-@pytest.mark.parametrize('orientation', range(8))
-def test_frame_columns_follow_the_orientation_registers(orientation):
-    device = camera(board=Board(aps_orientation=orientation))
-    frame = some_frame()
-    device.submit(frames=[frame])
-    for t in range(0, 20_001, 500):
-        device.advance(t)
-    decoded = decode(drain(device))
-    samples = {11: [], 12: []}
-    for kind, column in decoded.columns:
-        samples[kind].append(column)
-    for kind, picture in ((11, frame.reset), (12, frame.signal)):
-        seen = np.zeros_like(picture)
-        columns = np.array(samples[kind])
-        for (cx, cy), value in np.ndenumerate(columns):
-            x = columns.shape[0] - 1 - cx if orientation & 2 else cx
-            y = columns.shape[1] - 1 - cy if orientation & 1 else cy
-            x, y = (y, x) if orientation & 4 else (x, y)
-            seen[y, x] = value
-        np.testing.assert_array_equal(seen, picture)
 
 
 def test_frame_words_times_and_region():
@@ -98,26 +74,6 @@ def test_imu_sample_bytes_and_info():
     device.advance(400)
     ((info, *data, end),) = decode(drain(device)).imu
     assert (info, len(data)) == (0b010_0_01_10, 6)
-
-
-def test_events_frames_and_inertial_samples_share_the_stream():
-    device = camera()
-    frame = some_frame()
-    rows = [(t, 9, 8, False) for t in range(0, 20_000, 13)]
-    readings = [ImuReading(t, (0, 0, 1), (1, 2, 3), 30.0) for t in range(0, 20_000, 500)]
-    for t in range(0, 20_001, 1000):
-        device.submit(
-            events_of([row for row in rows if t <= row[0] < t + 1000]),
-            [frame] if t == 0 else [],
-            [reading for reading in readings if t <= reading.t_us < t + 1000],
-        )
-        device.advance(t)
-    decoded = decode(drain(device))
-    assert decoded.events == rows
-    assert [sample[-1] for sample in decoded.imu] == [reading.t_us for reading in readings]
-    assert {len(sample) for sample in decoded.imu} == {16}
-    signals = np.array([column for kind, column in decoded.columns if kind == 12])
-    np.testing.assert_array_equal(signals, frame.signal)
 
 
 def test_snapshot_gives_one_frame():

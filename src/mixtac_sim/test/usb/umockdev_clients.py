@@ -4,7 +4,7 @@
 
 Run by an interpreter that has the driver::
 
-    python umockdev_clients.py ours|libcaer|dv OUT.npz READY DONE
+    python umockdev_clients.py ours|libcaer OUT.npz READY DONE
 
 It touches READY when the camera streams and ends when DONE exists and nothing more arrives.
 Edges are saved under the codes of the wire; a reset of the camera's clock, where the driver reports
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import sys
 import time
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,6 @@ class Seen:
     def __init__(self, ready, done):
         self.ready, self.done = ready, done
         self.events, self.frames, self.imu, self.edges = [], [], [], []
-        self.restart_us = 0
         self.heard = time.monotonic()
         self.deadline = self.heard + PATIENCE_S
 
@@ -44,7 +42,7 @@ class Seen:
             self.heard = time.monotonic()
 
     def add_frame(self, pixels, times, corner=(0, 0)):
-        """Times are frame start, exposure start, exposure end, frame end; -1 where not told."""
+        """Times are frame start, exposure start, exposure end, frame end."""
         self.frames.append((np.array(pixels).squeeze(), times, corner))
         self.heard = time.monotonic()
 
@@ -66,7 +64,6 @@ class Seen:
             path,
             events=np.concatenate(self.events) if self.events else np.zeros((0, 4), np.int64),
             imu=np.array(self.imu, float).reshape(-1, 8),
-            restart_us=self.restart_us,
             edges=np.array(self.edges, np.int64).reshape(-1, 2),
             frame_times=np.array([times for _, times, _ in self.frames]).reshape(-1, 4),
             corners=np.array([corner for _, _, corner in self.frames]).reshape(-1, 2),
@@ -141,55 +138,10 @@ def libcaer(seen):
     camera.close()
 
 
-def dv(seen):
-    """Times count from the host's epoch; acceleration in g, turn rate in deg/s.
-
-    A reset of the camera's clock moves that count on by the time that the host saw pass.
-    """
-    import dv_processing
-
-    camera = dv_processing.io.camera.DAVIS()
-    # It takes the exposure from the register words of the frame, and changes it by itself.
-    camera.setAutoExposure(False)
-    camera.setExposureDuration(timedelta(milliseconds=4))
-    offset_us = camera.getTimestampOffset() // timedelta(microseconds=1)
-    trigger = dv_processing.TriggerType
-    codes = {
-        trigger.TIMESTAMP_RESET: RESET,
-        trigger.EXTERNAL_SIGNAL_FALLING_EDGE: FALLING,
-        trigger.EXTERNAL_SIGNAL_RISING_EDGE: RISING,
-        trigger.EXTERNAL_SIGNAL_PULSE: PULSE,
-        trigger.EXTERNAL_GENERATOR_FALLING_EDGE: GENERATOR_FALLING,
-        trigger.EXTERNAL_GENERATOR_RISING_EDGE: GENERATOR_RISING,
-    }
-    seen.ready.touch()
-    while not seen.finished():
-        events = camera.getNextEventBatch()
-        if events is not None:
-            e = events.numpy()
-            seen.add_events(e['timestamp'] - offset_us, e['x'], e['y'], e['polarity'])
-        frame = camera.getNextFrame()
-        if frame is not None:
-            start = frame.timestamp - offset_us
-            exposure_us = round(frame.exposure.total_seconds() * 1e6)
-            corner = (frame.positionX, frame.positionY)
-            seen.add_frame(frame.image, (-1, start, start + exposure_us, -1), corner)
-        for sample in camera.getNextImuBatch() or ():
-            acceleration = (sample.accelerometerX, sample.accelerometerY, sample.accelerometerZ)
-            rate = (sample.gyroscopeX, sample.gyroscopeY, sample.gyroscopeZ)
-            seen.add_imu(sample.timestamp - offset_us, acceleration, rate, sample.temperature)
-        for edge in camera.getNextTriggerBatch() or ():
-            if edge.type in codes:
-                seen.add_edge(edge.timestamp - offset_us, codes[edge.type])
-        if events is None and frame is None:
-            time.sleep(0.002)
-    seen.restart_us = camera.getTimestampOffset() // timedelta(microseconds=1) - offset_us
-
-
 def main():
     client, out, ready, done = sys.argv[1:]
     seen = Seen(Path(ready), Path(done))
-    {'ours': ours, 'libcaer': libcaer, 'dv': dv}[client](seen)
+    {'ours': ours, 'libcaer': libcaer}[client](seen)
     seen.save(out)
 
 

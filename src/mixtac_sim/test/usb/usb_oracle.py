@@ -31,7 +31,7 @@ class Decoded:
     stamps: list = field(default_factory=list)
 
 
-def decode(words, *, inverted=True):
+def decode(words):
     """Decode word by word in plain Python."""
     out = Decoded()
     base = t = row = 0
@@ -56,8 +56,7 @@ def decode(words, *, inverted=True):
         elif kind == 1:
             row = payload
         elif kind in {2, 3}:
-            x, y = (row, payload) if inverted else (payload, row)
-            out.events.append((t, x, y, kind == 3))
+            out.events.append((t, row, payload, kind == 3))
         elif kind == 4:
             out.columns[-1][1].append(payload & 0x3FF)
         elif kind == 5:

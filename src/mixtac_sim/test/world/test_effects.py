@@ -3,14 +3,13 @@
 """Presets: `easy` is what it always was, and every effect can be switched off."""
 
 import hashlib
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from mixtac_sim import SimulationError
-from mixtac_sim.world.effects import EASY, EFFECTS, OFF, PRESETS, preset
+from mixtac_sim.world.effects import EASY, EFFECTS, preset
 from mixtac_sim.world.instruments import ReferenceSensor
 from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
@@ -74,15 +73,6 @@ def test_easy_is_what_it_always_was(arguments):
         assert digest(trial) == pinned.digest
 
 
-@pytest.mark.parametrize('effect', EFFECTS)
-@pytest.mark.parametrize('name', PRESETS)
-def test_effects_can_be_switched_off(name, effect):
-    less = preset(name).without(effect)
-    assert less.name == f'{name} without {effect}'
-    assert getattr(less, effect) == getattr(OFF, effect)
-    assert replace(less, name=name, **{effect: getattr(preset(name), effect)}) == preset(name)
-
-
 def outcome(chosen):
     profile = make_profile('impact', 5, 1.0, preset=chosen)
     output = TactileSensor(11, 5, profile, preset=chosen).advance(260_000)
@@ -114,12 +104,3 @@ def test_unknown_names_are_refused():
         preset('easier')
     with pytest.raises(SimulationError, match="'weather'"):
         EASY.without('weather')
-
-
-def test_static_climbs_in_steps_where_asked_to():
-    profile = make_profile('static', 3, 25.0, preset=preset('paper_like'))
-    _, targets, _ = profile.commands(0, 200_000)
-    assert 0.3 < targets.max() < 1.02
-    level = np.abs(np.diff(targets[::80])) < 2e-3  # 10 ms, tremor allowed
-    assert 0.4 < level.mean() < 0.98
-    assert len(make_profile('static', 3, 25.0).segments) == 3

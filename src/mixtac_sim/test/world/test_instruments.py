@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The reference sensor: clock, filter, noise, pieces."""
+"""The reference sensor, its drift, the mount, and the inertial unit."""
 
 from itertools import pairwise
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import cont2discrete, dlsim
 
-from mixtac_sim.world.instruments import ReferenceSensor
+from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.instruments import InertialUnit, Mount, ReferenceSensor, Wander
 
 T_US = np.arange(1, 16_001) * 125
 
@@ -81,3 +83,69 @@ def test_noise_gain_and_crosstalk_are_small():
     assert 0.0 < np.hypot(*change[:2]) < 0.15
     steps = rest[:, 2] / 0.005
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+PAPER = preset('paper_like')
+
+
+def test_drift_saturates_at_the_deviation_of_its_process():
+    at = np.array([1.0, 30.0, 300.0, 3000.0])
+    drifts = np.stack([Wander(np.random.default_rng(k), 30.0).at(at) for k in range(150)])
+    spread = drifts.transpose(1, 0, 2).reshape(4, -1).std(axis=1)
+    # Zeroed at 0: the variance of a difference, 2 [1 - exp(-t / T)].
+    np.testing.assert_allclose(spread, np.sqrt(2.0 * (1.0 - np.exp(-at / 30.0))), rtol=0.08)
+    assert np.abs(drifts).max() <= 6.0
+
+
+BLOW_US = np.arange(1, 8_001) * 125
+
+
+def blow(start_us=100_000, length_us=5_000, force=10.0):
+    wrench = np.zeros((len(BLOW_US), 6))
+    since = BLOW_US - start_us
+    inside = (since > 0) & (since <= length_us)
+    wrench[inside, 2] = force * np.sin(np.pi * since[inside] / length_us)
+    return wrench
+
+
+def simulated(resonance_hz, damping, force):
+    """Return force passed on and m times acceleration of a damped oscillator, by scipy."""
+    w = 2.0 * np.pi * resonance_hz
+    a, b = [[0.0, 1.0], [-w * w, -2.0 * damping * w]], [[0.0], [w * w]]
+    c, d = [[1.0, 0.0], [-1.0, -2.0 * damping / w]], [[0.0], [1.0]]
+    system = cont2discrete(tuple(map(np.array, (a, b, c, d))), 125e-6, 'zoh')
+    _, _, state = dlsim(system, np.append(force, 0.0))
+    arrived, speed = state[1:].T
+    return arrived, force - arrived - 2.0 * damping / w * speed
+
+
+@pytest.mark.parametrize(('resonance', 'damping'), [(250.0, 0.05), (900.0, 0.02)])
+def test_ringing_is_that_of_a_damped_oscillator(resonance, damping):
+    wrench = blow()
+    arrived, left = Mount(resonance, damping).swing(BLOW_US, wrench)
+    force, shaken = simulated(resonance, damping, wrench[:, 2])
+    np.testing.assert_allclose(arrived[:, 2], force, atol=1e-8)
+    np.testing.assert_allclose(left[:, 2], shaken, atol=1e-8)
+    assert np.abs(arrived[:, :2]).max() == 0.0
+
+
+def test_a_mount_rings_in_pieces_as_in_the_whole():
+    wrench, mount = blow(), Mount(300.0, 0.03)
+    parts = [mount.swing(BLOW_US[a : a + 37], wrench[a : a + 37])[0] for a in range(0, 8_000, 37)]
+    whole, _ = Mount(300.0, 0.03).swing(BLOW_US, wrench)
+    np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12)
+
+
+def test_inertial_unit_feels_an_impact_and_nothing_before():
+    still, struck = InertialUnit(4), InertialUnit(4)
+    struck.feel(BLOW_US, blow())
+    before, after = (
+        np.array([r.acceleration_g for r in u.readings(1_000_000, 1_000)]) for u in (still, struck)
+    )
+    felt = after - before
+    assert np.abs(felt[:99]).max() == 0.0
+    assert 0.05 < np.abs(felt[100:110]).max() < 8.0
+    assert np.abs(felt[:, :2]).max() == 0.0
+    # What is struck comes to rest again: no velocity is left.
+    assert abs(felt[:, 2].sum()) < 0.2 * np.abs(felt[:, 2]).sum()
+    assert EASY.impact.ringing_hz == (0.0, 0.0)

@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
-from mixtac_sim.world.profiles import PROFILES, make_profile
-from mixtac_sim.world.segments import Segment, Tone
+from mixtac_sim.world.profiles import PROFILES, PULL_WAYS, PULLED_G, make_profile
 
 
 def commands(profile):
@@ -49,16 +47,6 @@ def test_sync_impulses_are_short_alone_and_strong(name):
         assert t[near][np.argmax(targets[near])] == pytest.approx(centre, abs=1e-3)
 
 
-def test_only_the_demo_is_synchronised_unless_asked():
-    assert make_profile('demo', 1, 10.0).sync_s
-    assert not make_profile('press', 1, 10.0).sync_s
-
-
-def test_demo_shows_every_kind_of_contact():
-    modes, _, _ = commands(make_profile('demo', 1, 10.0))
-    assert {Mode.FREE, Mode.FORCE, Mode.DROP, Mode.LIFT} <= set(modes.tolist())
-
-
 def test_commands_do_not_depend_on_how_they_are_asked_for():
     profile = make_profile('demo', 3, 11.0)
     whole = commands(profile)
@@ -87,16 +75,6 @@ def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(na
     assert make_profile('touch', 4, 12.0).motion(0, 32) is None
 
 
-def test_handling_moves_every_way_while_it_presses_and_ends_where_it_began():
-    profile = make_profile('handling', 5, 20.0)
-    modes, targets, _ = commands(profile)
-    steps = profile.motion(0, len(modes))[:, :5]
-    assert steps.any(axis=0).all()
-    assert np.abs(steps.sum(axis=0)).max() < 1e-9
-    assert np.abs(np.cumsum(steps, axis=0))[:, [0, 1, 3, 4]].max() <= 2.0 + 1e-9
-    assert np.all(targets[steps.any(axis=1) & (modes == Mode.FORCE)] > 0.0)
-
-
 def test_a_hanging_mass_pulls_in_four_directions_and_rests_in_between():
     profile = make_profile('pulls', 3, 24.0)
     modes, targets, _ = commands(profile)
@@ -118,22 +96,7 @@ def test_a_hanging_mass_pulls_in_four_directions_and_rests_in_between():
     np.testing.assert_array_equal(np.concatenate(parts), steps)
 
 
-def test_targets_pass_through_their_knots_and_tones():
-    segment = Segment(
-        0.0, 2.0, Mode.FORCE, (0.0, 1.0, 2.0), (0.0, 0.8, 0.4), (Tone(0.1, 5.0, fade_s=0.2),)
-    )
-    np.testing.assert_allclose(
-        segment.target(np.array([0.0, 1.0, 2.0])), [0.0, 0.8, 0.4], atol=1e-9
-    )
-    assert segment.target(np.array([1.05]))[0] == pytest.approx(0.9, abs=0.01)
-
-
 @pytest.mark.parametrize(('name', 'duration'), [('waltz', 10.0), ('demo', 9.0), ('press', 0.1)])
 def test_impossible_profiles_are_refused(name, duration):
     with pytest.raises(SimulationError):
         make_profile(name, 0, duration)
-
-
-def test_what_has_no_mass_cannot_be_dropped():
-    with pytest.raises(SimulationError):
-        Segment(0.0, 1.0, Mode.DROP)

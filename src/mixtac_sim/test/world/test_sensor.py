@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.grids import cut_block
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
-from mixtac_sim.world.segments import Profile, Segment
+from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.segments import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 
 
@@ -63,15 +63,6 @@ def test_seeds_fix_everything_and_matter(whole):
     assert np.corrcoef(rest.ravel(), other_device.frames[0].intensity.ravel())[0, 1] < 0.9
 
 
-def test_events_are_sorted_and_in_range(whole):
-    events = whole.events
-    assert np.all(np.diff(events.t) >= 0)
-    assert events.t[0] >= 0
-    assert events.t[-1] < 400_000
-    assert events.x.max() < 346
-    assert events.y.max() < 260
-
-
 def test_events_integrate_to_the_change_of_the_image():
     """Signed events over a press follow the change of log intensity between two frames."""
     settings = PixelSettings(0.15, 0.15, shot_hz=0.0, leak_hz=0.0, leak_hz_per_lux=0.0)
@@ -113,14 +104,6 @@ def test_settings_reach_pixels_and_frames():
     assert output.frames[0].exposure_end_us - output.frames[0].exposure_start_us == 3_000
 
 
-def test_blocks_are_cut_by_motion():
-    assert cut_block(np.zeros(32)) == [32]
-    assert cut_block(np.full(32, 1.0)) == list(range(1, 33))
-    travel = np.zeros(32)
-    travel[20] = 0.5
-    assert cut_block(travel) == [16, 20, 21, 22, 24, 32]
-
-
 def rubbed(move):
     press = Segment(0.1, 0.2, Mode.FORCE, (0.0, 0.1), (0.0, 0.6))
     held = Segment(0.2, 0.5, Mode.FORCE, (0.0,), (0.6,), move=move)
@@ -154,3 +137,47 @@ def test_a_sliding_contact_does_not_depend_on_how_it_is_advanced():
     parts = [body.advance(t) for t in (1_237, 290_000, 400_000)]
     assert same_events(type(whole.events).concatenate([p.events for p in parts]), whole.events)
     np.testing.assert_array_equal(np.concatenate([p.wrench for p in parts]), whole.wrench)
+
+
+QUIET = {'shot_hz': 0.0, 'leak_hz': 0.0, 'leak_hz_per_lux': 0.0}
+NO_FRAMES = ApsSettings(first_us=10**9)
+EVEN = EASY.without('pixels', 'light', 'timing')
+
+
+def shake(frequency, settings, preset=EVEN, seconds=0.8):
+    """Return the events of the last half second of a press that vibrates by 0.1 mm."""
+    press = Segment(0.0, 0.2, Mode.POSITION, (0.0, 0.2), (-0.1, 0.5))
+    tone = Tone(0.1, frequency, 0.0, 0.05)
+    hold = Segment(0.2, seconds, Mode.POSITION, (0.0,), (0.5,), (tone,))
+    profile = Profile('vibration', seconds, (press, hold))
+    body = TactileSensor(1, 2, profile, NO_FRAMES, settings, preset=preset)
+    return body.advance(round(1e6 * seconds)).events.between(300_000, 800_000)
+
+
+def lines(events, frequency):
+    """Return the pooled rate's lines at the drive and at twice it, over the median of all."""
+    counts = np.bincount((events.t - 300_000) // 500, minlength=1000)[:1000]
+    spectrum = np.abs(np.fft.rfft(counts - counts.mean()))
+    return spectrum[[frequency // 2, frequency]] / np.median(spectrum)
+
+
+@pytest.fixture(scope='module')
+def symmetric():
+    settings = PixelSettings(0.2, 0.2, **QUIET)
+    return {f: shake(f, settings) for f in (60, 200)}
+
+
+@pytest.mark.parametrize('frequency', [60, 200])
+def test_symmetric_motion_gives_a_line_at_twice_the_drive(symmetric, frequency):
+    drive, twice = lines(symmetric[frequency], frequency)
+    assert twice > 100.0
+    assert twice > 10.0 * drive
+
+
+def test_bandwidth_takes_fast_vibration_away(symmetric):
+    without = EVEN.without('bandwidth')
+    settings = PixelSettings(0.2, 0.2, **QUIET)
+    slow, fast = (len(shake(f, settings, without)) / f for f in (60, 200))
+    assert fast == pytest.approx(slow, rel=0.1)  # events per period: the motion is the same
+    assert len(symmetric[200]) / 200 < 0.4 * len(symmetric[60]) / 60
+    assert len(symmetric[60]) / 60 < slow

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's messages of a simulated trial, transfer by transfer, and the clocks of the trial.
+"""The messages of a simulated trial, transfer by transfer, and the clocks of the trial.
 
 The camera sends its data every millisecond, as the driver requests; the host receives the data a
 little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's own
@@ -14,7 +14,7 @@ have received them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,17 +23,19 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.events.packets import PacketWriter
-from mixtac_core.events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_core.events.readings import Frame, InertialSamples, inertial_samples
 from mixtac_core.events.windows import Packetizer
-from mixtac_core.node.topics import CAMERA_FRAME, IMU, IMU_FRAME
+from mixtac_core.node import topics
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.pixels.aps import ApsFrame
+from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.stream import Oscillator
 from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
 from mixtac_sim.world.instruments import ReferenceSensor
-from mixtac_sim.world.trial import Stretch
+from mixtac_sim.world.sensor import truth_wrench
+from mixtac_sim.world.trial import Stretch, TrialStream
 
 FIRST_DAY_NS: Final = 1_767_225_600_000_000_000
 """2026-01-01 00:00 UTC: simulated trials lie from here on, an hour apart by their seeds."""
@@ -94,56 +96,6 @@ class TrialClocks:
         return (1.0 + 1e-6 * reference.drift_ppm) / (1.0 + 1e-6 * self.skew_ppm)
 
 
-NS = 1_000_000_000
-_STAMP_AT = 4
-"""After CDR's four bytes that name the byte order."""
-
-
-def serialised(message: Any) -> bytes:  # noqa: ANN401
-    """Return a message of `mixtac_core.recordings.bag.blank_message` in CDR."""
-    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
-
-
-class StampedRows:
-    """Serialises messages that begin with a header and end with doubles.
-
-    Args:
-        example: One such message of `blank_message`; all other fields are taken from it.
-        numbers: Number of doubles at its end.
-    """
-
-    def __init__(self, example: Any, numbers: int) -> None:  # noqa: ANN401
-        self._example = example = serialised(example)
-        self._layout = np.dtype(
-            {
-                'names': ['sec', 'nanosec', 'numbers'],
-                'formats': ['<i4', '<u4', ('<f8', numbers)],
-                'offsets': [_STAMP_AT, _STAMP_AT + 4, len(example) - 8 * numbers],
-                'itemsize': len(example),
-            }
-        )
-
-    @property
-    def numbers(self) -> NDArray[np.float64]:
-        """Return the doubles of the example."""
-        row = np.frombuffer(self._example, self._layout)[0]
-        return np.array(row['numbers'], np.float64)
-
-    def make(self, stamp_ns: NDArray[np.int64], numbers: NDArray[np.float64]) -> list[bytes]:
-        """Return one message per row.
-
-        Args:
-            stamp_ns: Stamps [n] [ns].
-            numbers: The doubles [n, numbers].
-        """
-        octets = bytearray(self._example * len(stamp_ns))
-        rows = np.frombuffer(octets, self._layout)
-        rows['sec'], rows['nanosec'] = stamp_ns // NS, stamp_ns % NS
-        rows['numbers'] = numbers
-        size = len(self._example)
-        return [bytes(octets[i : i + size]) for i in range(0, len(octets), size)]
-
-
 class BagMessage(NamedTuple):
     """One message of a bag.
 
@@ -158,41 +110,13 @@ class BagMessage(NamedTuple):
     data: bytes
 
 
-class MessageSink:
-    """Sorts messages by the time of their reception; those of one time keep their order."""
-
-    def __init__(self) -> None:
-        self._waiting: list[BagMessage] = []
-
-    def put(self, received_ns: int, topic: str, message: Any) -> None:  # noqa: ANN401
-        """Add a message of `blank_message`."""
-        self._waiting.append(BagMessage(received_ns, topic, serialised(message)))
-
-    def put_rows(self, received_ns: Iterable[int], topic: str, rows: Iterable[bytes]) -> None:
-        """Add messages of one topic.
-
-        Args:
-            received_ns: Time of reception of each [ns].
-            topic: Their topic.
-            rows: The messages, serialised.
-        """
-        pairs = zip(received_ns, rows, strict=True)
-        self._waiting.extend(BagMessage(when, topic, row) for when, row in pairs)
-
-    def take(self, until_ns: int) -> list[BagMessage]:
-        """Return and forget the messages received before a time [ns], in order."""
-        due = [message for message in self._waiting if message.received_ns < until_ns]
-        self._waiting = [message for message in self._waiting if message.received_ns >= until_ns]
-        due.sort(key=lambda message: message.received_ns)
-        return due
+def serialised(message: Any) -> bytes:  # noqa: ANN401
+    """Return a message of `mixtac_core.recordings.bag.blank_message` in CDR."""
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
 MPU9250: Final = 2
 SIZE: Final = (WIDTH, HEIGHT)
-_ANGULAR: Final = slice(13, 16)
-"""Places of the angular velocity in the doubles of `sensor_msgs/msg/Imu`."""
-_LINEAR: Final = slice(25, 28)
-"""Places of the linear acceleration there."""
 
 
 def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:
@@ -202,8 +126,6 @@ def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) ->
         readings: Measurements of the unit.
         camera_us: Times of the readings [n] [us, camera clock].
     """
-    if not readings:
-        return NO_SAMPLES
     settings = ImuSettings()
     raw = np.empty((len(readings), 15), np.uint8)
     values = [raw_values(reading, settings) for reading in readings]
@@ -222,40 +144,105 @@ CLOCK_PERIOD_NS: Final = 1_000_000_000
 TEMPERATURE_PERIOD_US: Final = 100_000
 
 
-class CameraMessages:
-    """Makes the driver's messages of a trial.
+BATCH_NS: Final = 4_000_000
+"""The virtual sensor publishes truth and reference every 4 ms."""
+
+
+def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
+    """Simulate a trial and yield its messages in the order of their reception.
 
     Args:
-        clocks: Clocks of the trial.
-        sink: Takes the messages.
-        serial: Serial number of the camera.
+        trial: A trial that has not begun.
     """
+    return _TrialMessages(trial).run()
 
-    def __init__(self, clocks: TrialClocks, sink: MessageSink, serial: str) -> None:
-        self._packetizer = Packetizer()
-        self._clocks, self._sink, self._serial = clocks, sink, serial
-        self._map = ClockMap()
-        self._clock_due_ns = 0
-        self._temperature_due_us = 0
-        self._packets, self._sequence = PacketWriter(CAMERA_FRAME, SIZE), 0
+
+class _TrialMessages:
+    def __init__(self, trial: TrialStream) -> None:
+        self._trial, self._clocks = trial, TrialClocks(trial.spec.trial_seed)
+        self._waiting: list[BagMessage] = []
+        self._packetizer, self._map = Packetizer(), ClockMap()
+        self._clock_due_ns = self._temperature_due_us = 0
+        self._packets = PacketWriter(topics.CAMERA_FRAME, SIZE)
+        self._sequence = self._reached_us = 0
         zero = np.zeros((1, 3))
         still = InertialSamples(np.zeros(1, np.int64), zero, zero, np.zeros(1))
-        sample = messages.imu(still, 0, 0, IMU_FRAME, blank_message)
-        self._imu_rows = StampedRows(sample, 37)
-        self._reached_us = 0
+        self._imu = messages.imu(still, 0, 0, topics.IMU_FRAME, blank_message)
+        self._point = blank_message(topics.TRUTH_CONTACT.type_name)
+        self._wrench = topics.WrenchWriter(topics.CONTACT_FRAME)
+        self._reference = topics.WrenchWriter(topics.REFERENCE_FRAME)
 
-    def add(self, stretch: Stretch) -> None:
-        """Make the messages of the next stretch."""
+    def run(self) -> Iterator[BagMessage]:
+        """Yield all messages."""
+        self._put_clock_fit()
+        for stretch in self._trial.stretches():
+            self._put_camera(stretch)
+            self._put_truth(stretch)
+            self._put_reference(stretch)
+            yield from self._received_before(self._clocks.epoch_ns + 1000 * stretch.end_us)
+        yield from self._received_before(1 << 63)
+
+    def _put(self, received_ns: int, topic: str, message: Any) -> None:  # noqa: ANN401
+        data = message if isinstance(message, bytes) else serialised(message)
+        self._waiting.append(BagMessage(received_ns, topic, data))
+
+    def _received_before(self, until_ns: int) -> list[BagMessage]:
+        due = [message for message in self._waiting if message.received_ns < until_ns]
+        self._waiting = [message for message in self._waiting if message.received_ns >= until_ns]
+        # Those of one time keep their order.
+        due.sort(key=lambda message: message.received_ns)
+        return due
+
+    def _put_clock_fit(self) -> None:
+        """Put the true relation of the clocks, which is published once."""
+        clocks, reference = self._clocks, self._trial.reference
+        message = blank_message(topics.TRUTH_CLOCK_FIT.type_name)
+        messages.set_header(message, clocks.epoch_ns, '')
+        message.a, message.b = clocks.reference_rate(reference), reference.offset_s
+        message.camera_epoch = message.reference_epoch = 1e-9 * clocks.epoch_ns
+        message.method, message.message = 'simulation', 'true relation of the clocks'
+        self._put(clocks.epoch_ns, topics.TRUTH_CLOCK_FIT.name, message)
+
+    def _put_truth(self, stretch: Stretch) -> None:
+        truth = stretch.sensor.truth
+        stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64)).tolist()
+        for stamp_ns, wrench in zip(stamps_ns, truth_wrench(truth).tolist(), strict=True):
+            data = self._wrench.serialised(stamp_ns, wrench)
+            self._put(_batch_end(stamp_ns), topics.TRUTH_WRENCH.name, data)
+        right, down = self._trial.contact_mm
+        place, message = self._point.point, self._point
+        place.x, place.y = 1e-3 * right, -1e-3 * down
+        for stamp_ns, depth_m in zip(stamps_ns, (1e-3 * truth['depth_mm']).tolist(), strict=True):
+            messages.set_header(message, stamp_ns, topics.CONTACT_FRAME)
+            place.z = depth_m
+            self._put(_batch_end(stamp_ns), topics.TRUTH_CONTACT.name, message)
+
+    def _put_reference(self, stretch: Stretch) -> None:
+        samples, sensor, epoch_ns = stretch.reference, self._trial.reference, self._clocks.epoch_ns
+        true_ns = (samples.t_ns - 1e9 * sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
+        latest_ns = epoch_ns + 1000 * stretch.end_us
+        rows = zip(
+            (epoch_ns + true_ns.astype(np.int64)).tolist(),
+            (epoch_ns + samples.t_ns).tolist(),
+            samples.wrench.tolist(),
+            strict=True,
+        )
+        for measured_ns, stamp_ns, wrench in rows:
+            received_ns = min(_batch_end(measured_ns), latest_ns)
+            data = self._reference.serialised(stamp_ns, wrench)
+            self._put(received_ns, topics.REFERENCE, data)
+
+    def _put_camera(self, stretch: Stretch) -> None:
         ends = np.arange(stretch.start_us, stretch.end_us, TRANSFER_US) + TRANSFER_US
         arrivals = self._clocks.arrivals_ns(ends)
-        self._add_events(stretch, ends, arrivals)
+        self._put_events(stretch, ends, arrivals)
         for frame in stretch.sensor.frames:
             transfer = int(np.searchsorted(ends, frame.frame_end_us, side='right'))
-            self._add_frame(frame, int(arrivals[transfer]))
+            self._put_frame(frame, int(arrivals[transfer]) + PUBLISH_NS)
         if stretch.readings:
-            self._add_samples(stretch, ends, arrivals)
+            self._put_samples(stretch, ends, arrivals)
 
-    def _add_events(
+    def _put_events(
         self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
     ) -> None:
         events, origin_us = stretch.sensor.events, self._clocks.origin_us
@@ -268,9 +255,9 @@ class CameraMessages:
             packets = self._packetizer.push(published[first:last], time_us + origin_us, arrival_ns)
             for packet in packets:
                 data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
-                self._sink.put_rows([arrival_ns + PUBLISH_NS], 'events', [data])
+                self._put(arrival_ns + PUBLISH_NS, topics.EVENTS.name, data)
                 self._sequence += 1
-            self._add_clock(time_us, arrival_ns)
+            self._put_clock(time_us, arrival_ns)
             first = last
 
     def _reached(
@@ -292,23 +279,24 @@ class CameraMessages:
         self._reached_us = int(latest[-1])
         return latest
 
-    def _add_clock(self, time_us: int, arrival_ns: int) -> None:
+    def _put_clock(self, time_us: int, arrival_ns: int) -> None:
         self._map.add(time_us, arrival_ns)
         if arrival_ns < self._clock_due_ns:
             return
         self._clock_due_ns = arrival_ns + CLOCK_PERIOD_NS
         camera_us = self._map.to_camera_us(arrival_ns) + self._clocks.origin_us
-        message = messages.camera_clock(arrival_ns, camera_us, self._serial, blank_message)
-        self._sink.put(arrival_ns + PUBLISH_NS, 'camera_clock', message)
+        serial = serial_number(self._trial.spec.device_seed)
+        message = messages.camera_clock(arrival_ns, camera_us, serial, blank_message)
+        self._put(arrival_ns + PUBLISH_NS, topics.CAMERA_CLOCK.name, message)
 
-    def _add_frame(self, frame: ApsFrame, arrival_ns: int) -> None:
+    def _put_frame(self, frame: ApsFrame, received_ns: int) -> None:
         decoded, origin_us = self._decoded(frame), self._clocks.origin_us
-        image = messages.image(decoded, origin_us, 0, CAMERA_FRAME, blank_message)
+        image = messages.image(decoded, origin_us, 0, topics.CAMERA_FRAME, blank_message)
         info = messages.camera_info(decoded, SIZE, image, blank_message)
         exposure = messages.frame_exposure(decoded, origin_us, image, blank_message)
-        named = (('image_raw', image), ('camera_info', info), ('image_exposure', exposure))
-        for name, message in named:
-            self._sink.put(arrival_ns + PUBLISH_NS, name, message)
+        self._put(received_ns, topics.IMAGE_RAW.name, image)
+        self._put(received_ns, topics.CAMERA_INFO.name, info)
+        self._put(received_ns, topics.IMAGE_EXPOSURE.name, exposure)
 
     def _decoded(self, frame: ApsFrame) -> Frame:
         """Return the frame as the driver's decoder has it."""
@@ -325,26 +313,27 @@ class CameraMessages:
             global_shutter=True,
         )
 
-    def _add_samples(
+    def _put_samples(
         self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
     ) -> None:
         true_us = np.array([reading.t_us for reading in stretch.readings], np.int64)
         samples = decoded_samples(stretch.readings, self._clocks.to_camera_us(true_us))
-        received = arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS
-        rows = self._imu_rows
-        stamps_ns = 1000 * (samples.t + self._clocks.origin_us)
-        numbers = np.tile(rows.numbers, (len(samples.t), 1))
-        numbers[:, _ANGULAR], numbers[:, _LINEAR] = samples.angular_velocity, samples.acceleration
-        data = rows.make(stamps_ns, numbers)
-        self._sink.put_rows(received.tolist(), IMU.name, data)
-        self._add_temperatures(samples, received)
-
-    def _add_temperatures(self, samples: InertialSamples, received: NDArray[np.int64]) -> None:
-        for index in range(len(samples.t)):
-            time_us = int(samples.t[index]) + self._clocks.origin_us
+        received = (arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS).tolist()
+        times_us = (samples.t + self._clocks.origin_us).tolist()
+        message, warm = self._imu, samples.temperature.tolist()
+        linear, angular = message.linear_acceleration, message.angular_velocity
+        vectors = zip(samples.acceleration.tolist(), samples.angular_velocity.tolist(), strict=True)
+        for received_ns, time_us, (force, rate) in zip(received, times_us, vectors, strict=True):
+            messages.set_header(message, 1000 * time_us, topics.IMU_FRAME)
+            linear.x, linear.y, linear.z = force
+            angular.x, angular.y, angular.z = rate
+            self._put(received_ns, topics.IMU.name, message)
+        for received_ns, time_us, celsius in zip(received, times_us, warm, strict=True):
             if time_us >= self._temperature_due_us:
                 self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
-                message = messages.temperature(
-                    float(samples.temperature[index]), time_us, IMU_FRAME, blank_message
-                )
-                self._sink.put(int(received[index]), 'temperature', message)
+                message = messages.temperature(celsius, time_us, topics.IMU_FRAME, blank_message)
+                self._put(received_ns, topics.TEMPERATURE.name, message)
+
+
+def _batch_end(measured_ns: int) -> int:
+    return -(-measured_ns // BATCH_NS) * BATCH_NS
