@@ -24,12 +24,36 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.errors import (
-    AlignmentError,
-    DriftError,
-    NoImpulseError,
-    ShortBaselineError,
-)
+from mixtac_core.events.errors import MixtacError
+
+
+class AlignmentError(MixtacError):
+    """Two recordings whose clocks cannot be aligned."""
+
+
+class NoImpulseError(AlignmentError):
+    """Fewer than two impulses in one of the recordings, or none that match."""
+
+
+class AmbiguousImpulsesError(AlignmentError):
+    """Impulses that match in more than one way."""
+
+
+class SaturatedImpulseError(AlignmentError):
+    """An impulse cut off by the range of the force sensor: its peak has no time."""
+
+
+class ShortBaselineError(AlignmentError):
+    """Anchors too close to each other for their uncertainty."""
+
+
+class DriftError(AlignmentError):
+    """A clock drift that no pair of working clocks has."""
+
+
+class GapError(AlignmentError):
+    """Data missing where they are needed, or a clock that jumped."""
+
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
@@ -111,7 +135,7 @@ class ClockFit:
         return (self.a - 1.0) * 1e6
 
     def with_map(self, a: float, b: float, covariance: NDArray[np.float64]) -> ClockFit:
-        """Return another map with the same epochs and anchors; the residuals are those to it.
+        """Return another map with the same epochs and anchors, with the residuals to this map.
 
         Args:
             a: Rate.
@@ -173,24 +197,20 @@ class ClockFit:
             residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
             method = str(fields['method'])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise AlignmentError(f'clock fit: {error}', remedy='fit again') from error
+        times = np.array([b, camera_s, reference_s, *pairs_s.flat])
+        if (
+            not (a > 0.0 and np.isfinite([a, *covariance.flat]).all())
+            or not (np.abs(times) < _LATEST_S).all()
+        ):
             raise AlignmentError(
-                f'clock fit without a number in each field: {error}', remedy='fit again'
-            ) from error
-        times = np.array([camera_s, reference_s, *pairs_s.flat])
-        known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()
-        if not known or not (np.abs(times) < _LATEST_S).all():
-            raise AlignmentError(
-                f'clock fit with a = {a}, b = {b} about {camera_s} s and {reference_s} s is no map'
-                ' of clocks',
-                remedy='fit again',
+                f'clock fit with a = {a} and b = {b} s is no map of clocks', remedy='fit again'
             )
         camera_us = round(camera_s * 1e6)
         fit = cls(a, b, covariance, camera_us, reference_s, (), residuals_s, method)
-        anchors = []
-        for at_s, shown_s in pairs_s.T.tolist():
-            at_us = round(at_s * 1e6)
-            anchors.append(Anchor(at_us, shown_s, float(fit.std_at(at_us))))
-        return replace(fit, anchors=tuple(anchors))
+        at_us = [round(at_s * 1e6) for at_s in pairs_s[0].tolist()]
+        stds = fit.std_at(np.array(at_us, np.int64)).tolist()
+        return replace(fit, anchors=tuple(map(Anchor, at_us, pairs_s[1].tolist(), stds)))
 
     def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return camera times [us] as seconds from the camera epoch."""
@@ -204,6 +224,7 @@ def fit_clock(
     min_baseline_s: float = 1.0,
     max_drift: float = MAX_DRIFT,
     common_std_s: float = 0.0,
+    drift_std: float = 0.0,
     method: str = '',
 ) -> ClockFit:
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
@@ -216,6 +237,8 @@ def fit_clock(
         min_baseline_s: Shortest time between the first and the last anchor [s].
         max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
         common_std_s: Standard deviation of an error that all anchors share [s].
+        drift_std: Prior standard deviation of ``a - 1``, which pulls an uncertain drift towards
+            zero; 0 for no prior.
         method: Name of the method; empty for that of the solution.
 
     Raises:
@@ -265,16 +288,6 @@ def fit_clock(
             f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
             'were lost; record again with two sharp taps'
         )
-    return fit
-
-
-def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
-    """Return a map whose drift, as far as it is uncertain, is pulled towards zero.
-
-    Args:
-        fit: The map from anchors.
-        drift_std: Prior standard deviation of ``a - 1``; 0 for no prior.
-    """
     if drift_std <= 0.0:
         return fit
     gain = fit.covariance[:, 0] / (fit.covariance[0, 0] + drift_std**2)

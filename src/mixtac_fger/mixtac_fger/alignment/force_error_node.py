@@ -16,7 +16,7 @@ from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, declare, qos, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.stamps import stamp_to_ns
-from mixtac_fger.alignment.histories import follow_stamps
+from mixtac_fger.alignment.histories import has_restarted
 from mixtac_fger.alignment.parameters import ForceErrorParameters
 
 WAITING = 50
@@ -84,7 +84,11 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_half(self, message: topics.ForceMessage) -> None:
         stamp_ns = stamp_to_ns(message.header.stamp)
-        self._newest_ns = follow_stamps(self._pairs.queues, stamp_ns, self._newest_ns)
+        if has_restarted(stamp_ns, self._newest_ns):
+            # What waits is of the clock before, and would push out all that is new.
+            for queue in self._pairs.queues:
+                queue.clear()
+        self._newest_ns = stamp_ns
 
     def _on_pair(self, force: topics.ForceMessage, reference: topics.ForceMessage) -> None:
         self._error.push(topics.normal_force(force), self._sign * topics.normal_force(reference))

@@ -32,12 +32,55 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
-from mixtac_fger.alignment.errors import NoImpulseError
+from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, NoImpulseError, fit_clock
 from mixtac_fger.alignment.histories import CellEvents, FrameFeatures, Recording
-from mixtac_fger.alignment.impulses import FORCE_GAP_S, ImpulsePair, paired_impulses
+from mixtac_fger.alignment.impulses import (
+    FORCE_GAP_S,
+    ImpulsePair,
+    gaussian_smooth,
+    noise_std,
+    paired_impulses,
+    pressing_sign,
+)
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_fger.alignment.signals import even_force, pressing_sign
+
+SCALES_S: Final = (0.0025, 0.005, 0.010)
+"""Standard deviations of the Gaussians between which the bands of a force lie [s]."""
+CAUTION: Final = 2.5
+"""Factor on the noise power: power is estimated from few samples."""
+HALF_KERNEL: Final = 200
+"""Samples to both sides of an impulse that show the filters completely."""
+
+
+def even_force(
+    t_s: NDArray[np.float64], force_N: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return evenly spaced times [s] within those of the samples, and the smooth force there [N].
+
+    It is wavelet shrinkage without decimation. Quiet stretches are smoothed over many samples, so
+    that the slope of the force is known well; a band whose local power stands out of the noise, as
+    in a tap or a bounce, is kept. All filters are symmetric in time and add no delay.
+
+    Args:
+        t_s: Increasing sample times [s], ``float64 [n]``, small numbers.
+        force_N: Force [N], ``float64 [n]``.
+    """
+    period = float(np.median(np.diff(t_s)))
+    even = np.arange(t_s[0], t_s[-1], period)
+    finer = force = np.interp(even, t_s, force_N)
+    power = noise_std(force) ** 2
+    kernel = impulse = np.eye(1, 2 * HALF_KERNEL + 1, HALF_KERNEL)[0]
+    kept = np.zeros_like(force)
+    for scale_s in SCALES_S:
+        width = scale_s / period
+        coarser, wider = gaussian_smooth(force, width), gaussian_smooth(impulse, width)
+        noise = power * float(np.sum((kernel - wider) ** 2))
+        band = finer - coarser
+        local = gaussian_smooth(band**2, 2.0 * width)
+        kept += band * np.clip(1.0 - CAUTION * noise / np.maximum(local, 1e-12), 0.0, 1.0)
+        finer, kernel = coarser, wider
+    return even, finer + kept
+
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""
@@ -338,17 +381,17 @@ def fit_taps(
             )
         at_us = expected_us + round(1e6 * (found.delay_s - 1e-3 * parameters.tap_latency))
         anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
-    fit = fit_clock(
+    return fit_clock(
         anchors,
         min_baseline_s=parameters.min_baseline,
         max_drift=1e-6 * parameters.max_drift,
         common_std_s=1e-3 * parameters.tap_latency_std,
+        drift_std=1e-6 * parameters.drift_std,
     )
-    return with_drift_prior(fit, 1e-6 * parameters.drift_std)
 
 
 def _weights(
-    pairs: tuple[ImpulsePair, ...],
+    pairs: list[ImpulsePair],
     start_us: int,
     frames: FrameFeatures | None,
     t_s: NDArray[np.float64],

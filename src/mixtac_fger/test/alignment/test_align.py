@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from mixtac_fger.alignment.align import align
-from mixtac_fger.alignment.errors import (
+from mixtac_fger.alignment.clock_fit import (
     AlignmentError,
     AmbiguousImpulsesError,
+    GapError,
     NoImpulseError,
     SaturatedImpulseError,
     ShortBaselineError,
 )
 from mixtac_fger.alignment.histories import (
     CellEvents,
-    FrameHistory,
+    FrameFeatures,
     Recording,
     by_cell,
     reduce_frame,
@@ -45,15 +46,13 @@ def recording_of(counted: Any) -> Any:
 
 
 def _recording_of(counted: Any, trial: Any, *, frames: bool = True) -> Recording:
-    history = FrameHistory(100.0)
-    if frames:
-        spans = zip(trial.exposure_start_us, trial.exposure_end_us, trial.frames, strict=True)
-        for start_us, end_us, image in spans:
-            history.push(int(start_us), int(end_us), reduce_frame(image, 1023.0))
+    values = np.stack([reduce_frame(image, 1023.0) for image in trial.frames])
     return Recording(
         counts=counted(trial.events.t),
         events=by_cell(trial.events, 346, 260),
-        frames=history.snapshot(),
+        frames=FrameFeatures(trial.exposure_start_us, trial.exposure_end_us, values)
+        if frames
+        else None,
         force_t_s=trial.reference_t_us * 1e-6,
         force=trial.reference_wrench[:, 2],
         edges_us=np.zeros(0, np.int64),
@@ -94,17 +93,20 @@ def test_pressing_may_be_negative(scene: Any, pairs_of: Any) -> None:
     assert times[0] == pytest.approx(times[1])
 
 
-def test_no_impulse_is_refused(scene: Any, pairs_of: Any) -> None:
+def test_impulses_that_fix_no_map_are_refused(scene: Any, pairs_of: Any) -> None:
     for taps in ((), (2.0,)):
         with pytest.raises(NoImpulseError):
             pairs_of(*scene(taps_s=taps, heights=(3.0,) * len(taps)).recording())
-
-
-def test_taps_of_another_recording_are_refused(scene: Any, pairs_of: Any) -> None:
-    events, _, _ = scene().recording()
-    _, t, force = scene(taps_s=(1.2, 20.1)).recording()
+    events, t, force = scene().recording()
     with pytest.raises(NoImpulseError):
-        pairs_of(events, t, force)
+        pairs_of(events, *scene(taps_s=(1.2, 20.1)).recording()[1:])
+    with pytest.raises(SaturatedImpulseError):
+        pairs_of(*scene(limit=1.5, tap_s=0.03).recording())
+    with pytest.raises(AlignmentError):
+        pairs_of(events, t[:3], force[:3])
+    pairs_of(events, np.delete(t, [100, 101]), np.delete(force, [100, 101]))
+    with pytest.raises(GapError):
+        pairs_of(events, np.where(t > t[0] + 2.0, t + 0.2, t), force)
 
 
 def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any, pairs_of: Any) -> None:
@@ -115,22 +117,9 @@ def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any, pair
         pairs_of(events, t[cut], force[cut])
 
 
-def test_cut_off_peaks_are_refused(scene: Any, pairs_of: Any) -> None:
-    with pytest.raises(SaturatedImpulseError):
-        pairs_of(*scene(limit=1.5, tap_s=0.03).recording())
-
-
-def test_a_recording_without_events_is_refused(trial: Any, recording_of: Any) -> None:
+def test_a_recording_without_events_or_baseline_is_refused(trial: Any, recording_of: Any) -> None:
+    recording = recording_of(trial)
     with pytest.raises(NoImpulseError):
-        align(replace(recording_of(trial), events=NO_EVENTS))
-
-
-def test_taps_close_together_are_refused(trial: Any, recording_of: Any) -> None:
+        align(replace(recording, events=NO_EVENTS))
     with pytest.raises(ShortBaselineError):
-        align(recording_of(trial), replace(DEFAULTS, min_baseline=60.0))
-
-
-def test_a_recording_without_force_is_refused(scene: Any, pairs_of: Any) -> None:
-    events, t, force = scene(seconds=3.0, taps_s=(), heights=()).recording()
-    with pytest.raises(AlignmentError):
-        pairs_of(events, t[:3], force[:3])
+        align(recording, replace(DEFAULTS, min_baseline=60.0))

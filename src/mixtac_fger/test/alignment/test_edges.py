@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_fger.alignment.align import arrived_together, fit_edges
-from mixtac_fger.alignment.errors import AmbiguousImpulsesError, DriftError, NoImpulseError
+from mixtac_fger.alignment.clock_fit import AmbiguousImpulsesError, DriftError, NoImpulseError
 
 EPOCH_US = 1_700_000_000_000_000
 

@@ -13,7 +13,13 @@ import pytest
 
 from mixtac_fger.alignment import taps
 from mixtac_fger.alignment.histories import CellEvents
-from mixtac_fger.alignment.taps import TapModel, brightening, common_course, tap_signal
+from mixtac_fger.alignment.taps import (
+    TapModel,
+    brightening,
+    common_course,
+    even_force,
+    tap_signal,
+)
 
 CELLS = 60
 
@@ -136,3 +142,13 @@ def test_cells_that_follow_the_depth_weigh_more_than_noise() -> None:
     weight = brightening(values.astype(np.float32), depth)
     assert weight[0] > 0.0 > weight[1]
     assert abs(weight[2]) < 0.1 * abs(weight[1])
+
+
+def test_noise_goes_and_a_tap_stays_where_it_was() -> None:
+    t = np.arange(0.0, 4.0, 1.25e-3)
+    tap = 2.0 * np.exp(-0.5 * ((t - 2.0) / 0.006) ** 2)
+    even, force = even_force(t, tap + np.random.default_rng(0).normal(0.0, 0.02, len(t)))
+    assert np.allclose(np.diff(even), 1.25e-3)
+    assert np.std((force - np.interp(even, t, tap))[even < 1.8]) < 0.006
+    assert force.max() == pytest.approx(2.0, abs=0.1)
+    assert even[np.argmax(force)] == pytest.approx(2.0, abs=2e-3)
