@@ -33,7 +33,7 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
-from mixtac_fger.estimator import CameraFacts, check_camera, given_estimate, open_estimator
+from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -139,7 +139,6 @@ class Sensor:
         self._opening = threading.RLock()
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
-        self._trusted: Estimate | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
         self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
 
@@ -211,7 +210,6 @@ class Sensor:
         self._check()
         with self._estimating:
             self._feed.tare()
-            self._trusted = None
             reference, name = self._feed.reference, self._settings.reference
             if name and reference is not None:
                 reference.save(state_file(name))
@@ -252,7 +250,6 @@ class Sensor:
         self._closing.append(self._feed.close)
         self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
         self._shown: EncodedFrame | None = None
-        self._trusted = None
         supervisor = Supervisor(
             source,
             parameters,
@@ -322,12 +319,9 @@ class Sensor:
         with self._estimating:
             estimates = self._feed.push_events(events, batch.time_us)
             self._show_frame()
-            for estimate in estimates:
-                if estimate.valid:
-                    self._trusted = estimate
         if estimates:
-            shown = given_estimate(estimates[-1], self._settings.invalid_force, self._trusted)
-            self._forces.put(reading_of(estimates[-1], None if shown is None else shown.force))
+            shown = self._settings.publishes(estimates[-1])
+            self._forces.put(reading_of(estimates[-1], shown=shown))
 
     def _on_frame(self, frame: Frame, origin_us: int) -> None:
         image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
@@ -351,16 +345,16 @@ class Sensor:
                 self.pictures.put(Picture(mid_us, image, difference))
 
 
-def reading_of(estimate: Estimate, force_n: float | None) -> Reading:
+def reading_of(estimate: Estimate, *, shown: bool) -> Reading:
     """Return the reading of an estimate.
 
     Args:
         estimate: The estimate.
-        force_n: Its force by the setting `invalid_force` [N]; None where it is withheld.
+        shown: Whether its force is not withheld, by the setting `invalid_force`.
     """
     return Reading(
         stamp_us=estimate.end_us,
-        force=math.nan if force_n is None else force_n,
+        force=estimate.force if shown else math.nan,
         deviation=math.nan if estimate.deviation is None else estimate.deviation,
         valid=estimate.valid,
         reason=estimate.reason,

@@ -39,7 +39,7 @@ from mixtac_fger.config import (
     operations_per_cycle,
     tensor_shapes,
 )
-from mixtac_fger.contact_tracking import TouchMeter
+from mixtac_fger.contact import TouchMeter
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
@@ -313,11 +313,6 @@ class FgerEstimator(Estimator):
         self._rest_deviation = REST_DEVIATION * config.force_unit
         self._touch: TouchMeter | None = None
         self._shear = ShearHead(config, model.tensors) if config.shear else None
-
-    @property
-    def hot_events(self) -> int:
-        """Events of hot pixels, which are ignored, so far."""
-        return self._window_features.ignored
 
     @property
     def flow(self) -> NDArray[np.float32]:

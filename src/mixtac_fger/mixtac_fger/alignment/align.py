@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, NoImpulseError, fit_clock
+from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_fger.alignment.histories import Recording
 from mixtac_fger.alignment.impulses import FORCE_GAP_S, coincidences, pairs_at
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
@@ -89,16 +89,11 @@ def fit_edges(
         DriftError: The drift is not believable.
     """
     camera, reference = np.unique(camera_us), np.unique(reference_s)
-    if min(len(camera), len(reference)) < FEWEST_EDGES:
-        raise NoImpulseError(
-            f'{len(camera)} edges on external_edges, from the camera, and {len(reference)} on '
-            'reference_edges: three of each are needed',
-            remedy='record both topics with the trigger line connected, or align by taps',
-        )
-    x = (camera - camera[0]).astype(np.float64) * 1e-6
-    y = reference - reference[0]
-    pairs = pairs_at(x, y, 0, 0, TOLERANCE_S) if complete and len(x) == len(y) else []
-    if len(pairs) < len(x):
+    x = (camera - camera[:1]).astype(np.float64) * 1e-6
+    y = reference - reference[:1]
+    whole = complete and len(x) == len(y) >= FEWEST_EDGES
+    pairs = pairs_at(x, y, 0, 0, TOLERANCE_S) if whole else []
+    if not pairs or len(pairs) < len(x):
         pairs = coincidences(x, y, tolerance_s=TOLERANCE_S, fewest=FEWEST_EDGES)
     anchors = [Anchor(int(camera[i]), float(reference[j]), EDGE_STD_S) for i, j in pairs]
     return fit_clock(anchors, method='hardware_edges')

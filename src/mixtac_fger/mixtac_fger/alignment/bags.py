@@ -99,13 +99,10 @@ def read_recording(
     )
 
 
-SCHEMA: Final = 1
-
-
 def write_fit(fit: ClockFit, bag: Path) -> Path:
     """Write a fit beside its bag and return the file: the fields of `mixtac_msgs/ClockFit`."""
     path = fit_path(bag)
-    write_json(path, {'schema': SCHEMA, 'bag': bag.name, **fit.to_fields()})
+    write_json(path, {'schema': 1, 'bag': bag.name, **fit.to_fields()})
     return path
 
 
@@ -113,16 +110,14 @@ def read_fit(bag: Path) -> ClockFit:
     """Return the fit beside a bag.
 
     Raises:
-        AlignmentError: No such file, another schema, or a file that describes no map.
+        AlignmentError: No such file, or a file that describes no map.
     """
-    path, remedy = fit_path(bag), f'run `mixtac align {bag}`'
+    path = fit_path(bag)
     try:
-        content = dict(read_data(path))
-        if content['schema'] == SCHEMA:
-            return ClockFit.from_fields(content)
-    except (MixtacError, TypeError, ValueError, KeyError) as error:
-        raise AlignmentError(f'no clock fit in {path} ({error})', remedy=remedy) from error
-    raise AlignmentError(f'{path} has schema {content["schema"]}, not {SCHEMA}', remedy=remedy)
+        return ClockFit.from_fields(dict(read_data(path)))
+    except (MixtacError, TypeError, ValueError) as error:
+        text = f'no clock fit in {path} ({error})'
+        raise AlignmentError(text, remedy=f'run `mixtac align {bag}`') from error
 
 
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> None:

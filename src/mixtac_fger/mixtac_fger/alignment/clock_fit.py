@@ -55,6 +55,8 @@ class GapError(AlignmentError):
     """Data missing where they are needed, or a clock that jumped."""
 
 
+F64 = NDArray[np.float64]
+
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
 _LATEST_S: Final = 2.0**31
@@ -94,28 +96,28 @@ class ClockFit:
 
     a: float
     b: float
-    covariance: NDArray[np.float64]
+    covariance: F64
     camera_epoch_us: int
     reference_epoch_s: float
     anchors: tuple[Anchor, ...]
-    residuals_s: NDArray[np.float64]
+    residuals_s: F64
     method: str
 
-    def to_reference(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def to_reference(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return camera times [us] on the reference clock [s]."""
         return self.reference_epoch_s + (self.a * self.since_epoch_s(t_us) + self.b)
 
-    def to_camera(self, t_s: float | NDArray[np.float64]) -> NDArray[np.int64]:
+    def to_camera(self, t_s: float | F64) -> NDArray[np.int64]:
         """Return reference times [s] on the camera clock [us, rounded]."""
         seconds = (np.asarray(t_s, np.float64) - self.reference_epoch_s - self.b) / self.a
         return np.int64(self.camera_epoch_us) + np.rint(seconds * 1e6).astype(np.int64)
 
-    def stamp_to_camera_us(self, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def stamp_to_camera_us(self, stamp_ns: NDArray[np.int64]) -> F64:
         """Return stamps of the reference clock [ns] on the camera clock [us, not rounded]."""
         seconds = (stamp_ns - round(self.reference_epoch_s) * 1_000_000_000) / 1e9
         return np.asarray(self.camera_epoch_us + (seconds - self.b) / self.a * 1e6)
 
-    def std_at(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def std_at(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return the standard deviation [s] of `to_reference` at camera times [us]."""
         dt = self.since_epoch_s(t_us)
         c = self.covariance
@@ -134,7 +136,7 @@ class ClockFit:
         """Drift of the reference clock against the camera clock [1e-6]."""
         return (self.a - 1.0) * 1e6
 
-    def with_map(self, a: float, b: float, covariance: NDArray[np.float64]) -> ClockFit:
+    def with_map(self, a: float, b: float, covariance: F64) -> ClockFit:
         """Return another map with the same epochs and anchors, with the residuals to this map.
 
         Args:
@@ -212,7 +214,7 @@ class ClockFit:
         stds = fit.std_at(np.array(at_us, np.int64)).tolist()
         return replace(fit, anchors=tuple(map(Anchor, at_us, pairs_s[1].tolist(), stds)))
 
-    def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return camera times [us] as seconds from the camera epoch."""
         since = np.asarray(t_us, np.int64) - np.int64(self.camera_epoch_us)
         return since.astype(np.float64) * 1e-6
@@ -242,16 +244,10 @@ def fit_clock(
         method: Name of the method; empty for that of the solution.
 
     Raises:
-        NoImpulseError: Fewer than two anchors.
         ShortBaselineError: All anchors within `min_baseline_s`.
         DriftError: The drift is not believable.
     """
     ordered = tuple(sorted(anchors, key=lambda anchor: anchor.camera_us))
-    if len(ordered) < 2:
-        raise NoImpulseError(
-            f'{len(ordered)} anchor for a clock map: it takes two impulses, one at the beginning '
-            'and one at the end'
-        )
     camera_us = [anchor.camera_us for anchor in ordered]
     baseline_s = (camera_us[-1] - camera_us[0]) * 1e-6
     if baseline_s < min_baseline_s or baseline_s <= 0.0:
@@ -299,7 +295,7 @@ def fit_clock(
     )
 
 
-def _stray_variance(residuals: NDArray[np.float64]) -> float:
+def _stray_variance(residuals: F64) -> float:
     """Return the variance [s^2] that neighbours share beyond chance: more anchors do not lower it.
 
     The drift changes with the temperature, so that hours are no straight line.
@@ -309,9 +305,7 @@ def _stray_variance(residuals: NDArray[np.float64]) -> float:
     return max(shared - chance, 0.0)
 
 
-def _solve(
-    x: NDArray[np.float64], y: NDArray[np.float64], std: NDArray[np.float64]
-) -> tuple[tuple[float, float], NDArray[np.float64]]:
+def _solve(x: F64, y: F64, std: F64) -> tuple[tuple[float, float], F64]:
     """Return (a, b) and their covariance, solved about the weighted means for precision."""
     w = 1.0 / std**2
     x0, y0 = float(np.average(x, weights=w)), float(np.average(y, weights=w))

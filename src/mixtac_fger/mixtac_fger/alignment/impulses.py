@@ -263,22 +263,25 @@ def coincidences(
         AmbiguousImpulsesError: Other pairs coincide about as well.
     """
     weight = np.ones((len(x), len(y))) if weight is None else weight
-    tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64)).tolist()
-    found = [
-        pairs_at(x, y, i, j, tolerance_s) for i in tried for j in _likely(x, y, i, tolerance_s)
-    ]
-    scores = [sum(weight[pair] for pair in pairs) for pairs in found]
-    score, best = max(zip(scores, found, strict=True), key=lambda each: each[0])
+    found = []
+    if min(len(x), len(y)) >= fewest:
+        tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64)).tolist()
+        likely = [(i, j) for i in tried for j in _likely(x, y, i, tolerance_s)]
+        found = [pairs_at(x, y, i, j, tolerance_s) for i, j in likely]
+    scored = [(sum(weight[pair] for pair in pairs), pairs) for pairs in found]
+    score, best = max(scored, key=lambda each: each[0], default=(0.0, []))
     if len(best) < fewest:
         raise NoImpulseError(
-            f'{len(x)} moments in the events and {len(y)} in the reference, but no {fewest} with'
-            ' the same times between them: record both over the same taps or edges'
+            f'{len(x)} impulses or edges from the camera and {len(y)} from the reference, and not'
+            f' {fewest} of them with the same times between them',
+            remedy='record both while you tap sharply on the gel, once at the beginning and once at'
+            ' the end, or external_edges and reference_edges with the trigger line connected',
         )
-    for other_score, other in zip(scores, found, strict=True):
+    for other_score, other in scored:
         if len(other) >= fewest and other_score > RIVAL * score and not set(other) & set(best):
             raise AmbiguousImpulsesError(
-                f'{len(best)} moments coincide in more than one way: leave other taps out and tap'
-                ' twice at one end, or send edges at unequal distances'
+                f'{len(best)} impulses or edges coincide in more than one way: leave other taps out'
+                ' and tap twice at one end, or send edges at unequal distances'
             )
     return best
 
@@ -349,8 +352,8 @@ def pair_impulses(camera: list[Impulse], reference: list[Impulse]) -> list[Impul
     """Pair the impulses of both recordings; return the strong pairs in the order of time.
 
     Args:
-        camera: Impulses in the events, at least two.
-        reference: Impulses in the force, at least two.
+        camera: Impulses in the events.
+        reference: Impulses in the force.
 
     Raises:
         NoImpulseError: No two impulses agree, or only one of those that do is strong.
@@ -365,7 +368,7 @@ def pair_impulses(camera: list[Impulse], reference: list[Impulse]) -> list[Impul
         [np.array([getattr(i, name) for i in each]) for each in (events, forces)]
         for name in ('time_s', 'strength')
     )
-    weight = np.sqrt(np.outer(*(each / each.max() for each in strengths)))
+    weight = np.sqrt(np.outer(*(each / each.max(initial=1e-9) for each in strengths)))
     found = coincidences(x, y, weight, tolerance_s=MATCH_S, fewest=2)
     least = STRONG * max(weight[pair] for pair in found)
     pairs = [ImpulsePair(events[i], forces[j]) for i, j in found if weight[i, j] >= least]
@@ -427,14 +430,4 @@ def paired_impulses(
     rate = counts.counts[: whole * bins].reshape(whole, bins).sum(axis=1).astype(np.float64)
     centres = (np.arange(whole) + 0.5) * bins * counts.width_us * 1e-6
     camera = prefer_isolated(find_bursts(counts, parameters), centres, rate)
-    for impulses, where, remedy in (
-        (reference, 'force', f'tap so that the force passes {parameters.min_force:g} N'),
-        (camera, 'event rate', 'tap sharply on the gel, and check for lost packets'),
-    ):
-        if len(impulses) < 2:
-            times = ', '.join(f'{impulse.time_s:.2f} s' for impulse in impulses) or 'none'
-            raise NoImpulseError(
-                f'found {len(impulses)} impulses in the {where} ({times}), two are needed:'
-                f' {remedy}, once at the beginning and once at the end'
-            )
     return pair_impulses(camera, reference), start_s

@@ -36,12 +36,6 @@ def test_the_vertex_of_a_parabola_is_exact(
     assert found == pytest.approx(start + at, abs=1e-5)
 
 
-@given(values=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=30))
-def test_the_vertex_stays_within_the_samples(values: list[float]) -> None:
-    t = np.arange(len(values)) * 1e-3
-    assert t[0] <= vertex(t, np.array(values)) <= t[-1]
-
-
 def test_only_the_strongest_of_neighbours_counts() -> None:
     impulses = [Impulse(t, s) for t, s in ((0.0, 1.0), (0.1, 3.0), (0.2, 2.0), (1.0, 1))]
     assert [i.time_s for i in strongest(impulses, 0.15)] == [0.1, 1.0]
