@@ -320,7 +320,7 @@ class Sensor:
             estimates = self._feed.push_events(events, batch.time_us)
             self._show_frame()
         if estimates:
-            shown = self._settings.publishes(estimates[-1])
+            shown = estimates[-1].valid or self._settings.invalid_force == 'publish'
             self._forces.put(reading_of(estimates[-1], shown=shown))
 
     def _on_frame(self, frame: Frame, origin_us: int) -> None:

@@ -255,14 +255,12 @@ class ContactTracker:
         if self.touch is not None:
             self._dent = self.touch.fit.significance
 
-    def _shows_more(self) -> bool:
-        """Return whether the latest picture shows more than what the last contact left."""
-        return self.touch is None or self.touch.fit.significance > self._dent + SIGNIFICANT
-
     def _begin(self, end_us: int, risen: float) -> None:
         """Find out whether a contact begins, by how far the force has risen [N]."""
         self._above = self._above + 1 if risen > self.settings.on_n else 0
-        lasting = self._above >= SURE_WINDOWS and self._shows_more()
+        # The latest picture has to show more than what the last contact left.
+        more = self.touch is None or self.touch.fit.significance > self._dent + SIGNIFICANT
+        lasting = self._above >= SURE_WINDOWS and more
         self._touching = lasting or risen > SURE_SHARE * self.settings.on_n
         if self._touching:
             self._since_us, self._above = end_us, 0

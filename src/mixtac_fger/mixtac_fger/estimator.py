@@ -236,8 +236,6 @@ class EstimatorStatus:
         late_events: Events dropped because their window was closed.
         resets: Times the clock went backwards or the state was not finite.
         reason: Why windows give no forces; empty if they do.
-        frame_age_us: Camera time since the centre of the latest frame's exposure; -1 without a
-            frame.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
     """
@@ -252,7 +250,6 @@ class EstimatorStatus:
     late_events: int = 0
     resets: int = 0
     reason: str = ''
-    frame_age_us: int = -1
     validity: str = Reason.TRUSTED.name
     zero_drift: float = 0.0
 

@@ -114,8 +114,7 @@ def checked_config(model: Model) -> FgerConfig:
                 f'tensor {name} has shape {shapes.get(name)}, but {wanted.get(name)} is needed',
                 remedy=MODEL_REMEDY,
             )
-    for name in DIVISORS & shapes.keys():
-        if not (model.tensors[name] > 0.0).all():
+        if name in DIVISORS and not (model.tensors[name] > 0.0).all():
             raise ModelError(f'tensor {name} has values that are not above 0', remedy=MODEL_REMEDY)
     return config
 

@@ -79,12 +79,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         Raises:
             MixtacError: It refuses.
         """
-        if not self._to_start:
-            return
-        self._to_start = False
+        start, self._to_start = self._to_start and self._model is None, False
         success = TransitionCallbackReturn.SUCCESS
         steps = self.trigger_configure, self.trigger_activate
-        if self._model is None and any(step() != success for step in steps):
+        if start and any(step() != success for step in steps):
             raise self._refusal
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
@@ -251,7 +249,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not estimates:
             return
         for estimate in estimates:
-            if self._settings.publishes(estimate):
+            if estimate.valid or self._settings.invalid_force == 'publish':
                 x, y, torque = (0.0, 0.0, 0.0) if estimate.shear is None else estimate.shear[:3]
                 wrench = (x, y, estimate.force, 0.0, 0.0, torque)
                 self._force.publish(self._message.serialised(1000 * estimate.end_us, wrench))

@@ -10,7 +10,6 @@ from typing import Any, Final
 from mixtac_core.node.parameters import ParameterError, fixed, parameter
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.displacement import skin_scale
-from mixtac_fger.estimator import Estimate
 from mixtac_fger.weights import DEFAULT_MODEL
 
 POLICIES: Final = ('withhold', 'publish')
@@ -121,7 +120,3 @@ class FgerParameters:
             'stale_frame_us': round(self.stale_frame_age * 1e6),
             'tare_on_release': self.tare_on_release,
         }
-
-    def publishes(self, estimate: Estimate) -> bool:
-        """Return whether the force of an estimate is published, by `invalid_force`."""
-        return estimate.valid or self.invalid_force == 'publish'

@@ -39,7 +39,7 @@ from mixtac_core.node.process import lower_priority
 from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
 from mixtac_fger.estimator import Estimate, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
-from mixtac_fger.reference import Reference, TareError, Zero, stored_reference
+from mixtac_fger.reference import TareError, Zero, stored_reference
 from mixtac_fger.validity import Reason, Validity
 
 if TYPE_CHECKING:
@@ -97,6 +97,10 @@ class ForceEstimator:
             the architecture does not detect contacts.
 
     Attributes:
+        size: Columns and rows of the sensor [px].
+        window_us: Length of a window [us].
+        reference: The no-contact reference; None if the architecture needs none.
+        frame: The latest frame that was used; None without one.
         contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next three.
@@ -131,6 +135,8 @@ class ForceEstimator:
         self.use_contact(contact)
         if reference is not None:
             reference.assume_free = assume_free
+        self.reference = reference
+        self.size = estimator.width, estimator.height
         self.window_us = estimator.window_us
         self._saturation = SATURATION_PER_US * estimator.window_us
         self._thread = (
@@ -143,7 +149,7 @@ class ForceEstimator:
         self._time = StreamTime()
         self._encoded: deque[EncodedFrame] = deque(maxlen=WAITING_FRAMES)
         self._between = False
-        self._frame: EncodedFrame | None = None
+        self.frame: EncodedFrame | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
         self._validity = Validity(estimator.width)
         self._reason_now = Reason.TRUSTED
@@ -153,24 +159,9 @@ class ForceEstimator:
         self._count = EstimatorStatus()
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows of the sensor [px]."""
-        return self._estimator.width, self._estimator.height
-
-    @property
-    def reference(self) -> Reference | None:
-        """The no-contact reference; None if the architecture needs none."""
-        return self._estimator.reference
-
-    @property
-    def frame(self) -> EncodedFrame | None:
-        """The latest frame that was used; None without one."""
-        return self._frame
-
-    @property
     def frame_force(self) -> float:
         """Frames-only force of the latest frame [N]; 0 without one."""
-        return 0.0 if self._frame is None else self.force_scale * self._frame.force
+        return 0.0 if self.frame is None else self.force_scale * self.frame.force
 
     def push_frame(self, image: Image | Callable[[], Image], mid_us: int) -> None:
         """Add a frame as it arrives.
@@ -255,10 +246,10 @@ class ForceEstimator:
             raise TareError(
                 'this model has no no-contact reference', remedy='subtract the force at rest'
             )
-        if self._frame is None or not self._recent:
+        if self.frame is None or not self._recent:
             raise TareError(f'there are no estimates yet: {self._reason()}')
         self._fetch()
-        latest = self._encoded[-1] if self._encoded else self._frame
+        latest = self._encoded[-1] if self._encoded else self.frame
         forces = [self.force_scale * each for each in self._recent]
         self._zero.renew(latest.picture, forces, self.contact_threshold_n)
         self._other_camera = False
@@ -271,15 +262,15 @@ class ForceEstimator:
         Args:
             name: As for `stored_reference`, whose errors it raises.
         """
-        if stored_reference(name, self._estimator.reference) is not None:
+        if stored_reference(name, self.reference) is not None:
             self._other_camera = False
             self._start_over()
 
     def change_camera(self) -> None:
         """Forget the zero: another camera was connected."""
-        if self._estimator.reference is not None:
-            self._estimator.reference.forget()
-            self._estimator.reference.assume_free = False
+        if self.reference is not None:
+            self.reference.forget()
+            self.reference.assume_free = False
         self._start_over()
         self._validity.forget()
         self._estimator.change_sensor()
@@ -295,9 +286,8 @@ class ForceEstimator:
         """Find contacts with these settings from now on, if the architecture can; None ends it."""
         before = None if self.contact is None else self.contact.settings
         if self._estimator.finds_contact and settings != before:
-            rows, columns = self._estimator.flow.shape[:2]
-            tracker = None if settings is None else ContactTracker(settings, (rows, columns))
-            self.contact = tracker
+            grid = self._estimator.flow.shape[0], self._estimator.flow.shape[1]
+            self.contact = None if settings is None else ContactTracker(settings, grid)
             self._estimator.find_contacts(None if settings is None else settings.scale)
 
     def close(self) -> None:
@@ -312,21 +302,15 @@ class ForceEstimator:
             late_events=self._slicer.late_events,
             resets=self._count.resets + self._time.restarts,
             reason=self._reason(),
-            frame_age_us=self._frame_age_us(),
             validity=self._reason_now.name,
             zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
         )
 
-    def _frame_age_us(self) -> int:
-        if self._frame is None or self._time.newest_us is None:
-            return -1
-        return self._time.newest_us - self._frame.mid_us
-
     def _reason(self) -> str:
-        reference, problem = self._estimator.reference, self._count.problem
+        reference, problem = self.reference, self._count.problem
         if reference is None or reference.array is not None:
-            if self._frame is not None:
-                age_us = self._frame_age_us()
+            if self.frame is not None:
+                age_us = (self._time.newest_us or 0) - self.frame.mid_us
                 late = age_us > self.longest_without_frame_us
                 return f'no frame for {age_us / 1e6:.1f} s, so no force is given' if late else ''
             waiting = 'a frame'
@@ -338,10 +322,10 @@ class ForceEstimator:
     def _window(self, end_us: int, events: Events) -> Estimate | None:
         count = self._count
         self._use_frames(end_us)
-        if self._frame is None:
+        if self.frame is None:
             return None
         raw, spread = self._estimator.step(events, end_us)
-        age_us = end_us - self._frame.mid_us
+        age_us = end_us - self.frame.mid_us
         force = self.force_scale * raw
         if spread is not None:
             late = LATE_N_PER_S * 1e-6 * max(age_us - LATE_FRAME_US, 0)
@@ -397,7 +381,7 @@ class ForceEstimator:
 
     def _distrust(self, raw: float, age_us: int) -> Reason:
         """Return why a force cannot be trusted, before `force_scale` [N]."""
-        reference = self._estimator.reference
+        reference = self.reference
         if self._other_camera:
             return Reason.OTHER_CAMERA
         if reference is not None and not reference.known:
@@ -417,9 +401,9 @@ class ForceEstimator:
         if not -FRAME_AHEAD_US <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
-        reference = self._estimator.reference
+        reference = self.reference
         replaced = reference is not None and frame.reference != reference.number
-        earlier = self._frame is not None and frame.mid_us <= self._frame.mid_us
+        earlier = self.frame is not None and frame.mid_us <= self.frame.mid_us
         if frame.mid_us < self._since_us or replaced or earlier:
             # Exposed before events were lost, or before the frame before; or compared with a
             # reference that was replaced.
@@ -430,14 +414,14 @@ class ForceEstimator:
         if picture is not None and self._zero is not None:
             light = abs(self.force_scale * frame.force) < self.contact_threshold_n
             self._zero.frame(picture, frame.force, light=light)
-        if self._frame is None and (kept or self._since_us > -NO_LIMIT_US):
+        if self.frame is None and (kept or self._since_us > -NO_LIMIT_US):
             # Something may touch the sensor already.
             self._estimator.start_at(frame)
         else:
             width = self.window_us
             lag = correction_lag(end_us - width, frame.mid_us, width)
             self._estimator.correct(frame, lag)
-        self._frame = frame
+        self.frame = frame
         if self.contact is not None and frame.touch is not None:
             self.contact.frame(frame.mid_us, frame.touch)
         self._saturated = False
@@ -453,7 +437,7 @@ class ForceEstimator:
         self._estimator.clear()
         self._recent.clear()
         self._encoded.clear()
-        self._frame = None
+        self.frame = None
         if self.contact is not None:
             self.contact.clear()
 
@@ -474,8 +458,8 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     frames = 1 if estimator.reference is None else estimator.reference.frames
     for start_us in range(0, 2 * frames * WARM_UP_STEP_US, WARM_UP_STEP_US):
         image = random.integers(99, 102, (height, width)).astype(np.uint8)
-        odd = start_us // WARM_UP_STEP_US % 2
-        feed.push_frame(image.astype(np.uint16) if odd else image, start_us)
+        wide = start_us % (2 * WARM_UP_STEP_US)
+        feed.push_frame(image.astype(np.uint16) if wide else image, start_us)
         t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
         zeros = np.zeros(len(t_us), np.uint16)
         events = Events(t_us, zeros, zeros, t_us % 200 == 0)

@@ -185,8 +185,7 @@ def test_a_light_force_has_to_last_and_to_show_in_the_picture():
 
 def test_noise_leaves_the_size_of_a_contrast_threshold_alone():
     random, carrier = np.random.default_rng(0), FlowCarrier(GRID)
-    before = carrier.threshold
-    free = pressed((0.0, 0.0), strength=0.0, noise=0.001)
+    before, free = carrier.threshold, pressed((0.0, 0.0), strength=0.0, noise=0.001)
     for index in range(500):
         carrier.window(4000 * index + 2000, random.normal(0.0, 0.01, (*GRID, 2)))
         carrier.frame(carrier.until(4000 * (index + 1)), free)

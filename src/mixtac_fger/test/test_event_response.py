@@ -53,18 +53,13 @@ def test_the_play_of_a_sensor_is_found(play):
 
 
 def test_it_is_least_squares_with_a_prior():
-    random = np.random.default_rng(1)
-    told, noise = random.normal(0.0, 0.1, (2, 40))
-    turns = random.normal(0.0, 1.0, 40)
+    told, noise = np.random.default_rng(1).normal(0.0, 0.1, (2, 40))
+    turns = np.random.default_rng(2).normal(0.0, 1.0, 40)
     changes = 0.7 * told + 0.05 * turns + 0.1 * noise
     # The first frame has none before it.
     weight = EventResponse.KEPT ** (0.5 * np.arange(39)[::-1])
-    rows = np.vstack(
-        [
-            weight[:, None] * np.stack([told, turns], axis=1)[1:],
-            np.diag([EventResponse.PRIOR_N, EventResponse.PRIOR_TURNS**0.5]),
-        ]
-    )
+    prior = np.diag([EventResponse.PRIOR_N, EventResponse.PRIOR_TURNS**0.5])
+    rows = np.vstack([weight[:, None] * np.stack([told, turns], axis=1)[1:], prior])
     target = np.append(weight * changes[1:], [EventResponse.PRIOR_N, 0.0])
     expected = np.linalg.lstsq(rows, target, rcond=None)[0]
     assert after(changes, told, turns=turns) == pytest.approx(expected, rel=1e-9)

@@ -255,14 +255,10 @@ def test_autostart_activates_once_and_never_again(node_under_test, tmp_path, mod
 
 def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):
     def set_to(**values: object) -> str:
-        request = SetParameters.Request(
-            parameters=[
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
-        )
-        (result,) = estimator.graph.call(
-            SetParameters, '/mixtac/fger/set_parameters', request
-        ).results
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
+        answer = estimator.graph.call(SetParameters, '/mixtac/fger/set_parameters', request)
+        (result,) = answer.results
         return '' if result.successful else result.reason
 
     def field_offered() -> bool:

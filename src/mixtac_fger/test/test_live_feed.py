@@ -169,7 +169,7 @@ def good(model):
     feed = LiveFeed(ForceEstimator(FgerEstimator(model)))
     feed.close()
     status = feed.status()
-    estimator = replace(status.estimator, reason='', frame_age_us=60_000)
+    estimator = replace(status.estimator, reason='')
     return status._replace(estimator=estimator, rate_hz=500.0)
 
 

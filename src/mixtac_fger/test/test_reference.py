@@ -140,13 +140,9 @@ def test_damaged_files_are_refused(tmp_path, stored):
         with pytest.raises(ReferenceFileError) as caught:
             stored.load(path)
         assert '~/tare' in caught.value.remedy
-
-
-def test_numbers_that_are_not_finite_and_other_shapes_are_refused(tmp_path, stored):
-    whole = stored.array.copy()
-    whole[3, 4] = np.nan
-    for number, wrong in enumerate((whole, whole[1:])):
-        path = tmp_path / f'{number}.npz'
+    nowhere = stored.array.copy()
+    nowhere[3, 4] = np.nan
+    for wrong in (nowhere, nowhere[1:] * 0.0):
         stored.use(wrong)
         stored.save(path)
         with pytest.raises(ReferenceFileError):

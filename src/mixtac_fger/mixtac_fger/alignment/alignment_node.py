@@ -167,10 +167,6 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             if self._restarts:
                 return Status(WARN, f'a clock has restarted; {text}', values)
             return Status(OK, text, values)
-        values |= {
-            'drift [ppm]': self._fit.drift_ppm,
-            'residual rms [s]': self._fit.residual_rms_s,
-        }
         return Status(OK, self._fit.summary(), values)
 
 

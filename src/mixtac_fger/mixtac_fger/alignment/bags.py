@@ -150,8 +150,13 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
             typestore=types,
             offered_qos_profiles=(offered_qos(latched=True),),
         )
-        own = _fit_message(types, _of_one_clock(fit), source.start_ns)
-        writer.write(fit_handle, source.start_ns, own)
+        anchors = tuple(
+            replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
+            for anchor in fit.anchors
+        )
+        own = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
+        own = own.with_map(1.0, 0.0, fit.covariance)
+        writer.write(fit_handle, source.start_ns, _fit_message(types, own, source.start_ns))
         raw = copied.keys() - {reference}
         for topic, received_ns, message in source.messages(*copied, raw=raw):
             data = message
@@ -162,16 +167,6 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
                 data = types.serialize_cdr(message, copied[topic].msgtype)
             writer.write(handles[topic], received_ns, data)
-
-
-def _of_one_clock(fit: ClockFit) -> ClockFit:
-    """Return the map of a bag whose reference has been brought to the camera clock by a fit."""
-    anchors = tuple(
-        replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
-        for anchor in fit.anchors
-    )
-    moved = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
-    return moved.with_map(1.0, 0.0, fit.covariance)
 
 
 def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401

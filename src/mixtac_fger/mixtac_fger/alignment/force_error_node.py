@@ -80,11 +80,7 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
 
     def _status(self) -> Status:
         mae, rmse = mean_errors(self._errors)
-        values: dict[str, object] = {
-            'pairs': len(self._errors),
-            'mae [N]': mae,
-            'rmse [N]': rmse,
-        }
+        values: dict[str, object] = {'pairs': len(self._errors), 'mae [N]': mae, 'rmse [N]': rmse}
         if not self._errors:
             return Status(WARN, 'no pairs: fit the clocks first (alignment/fit)', values)
         return Status(OK, f'MAE {mae:.3f} N, RMSE {rmse:.3f} N', values)

@@ -74,7 +74,7 @@ def reduce_frame(image: NDArray[Any], full_scale: float) -> NDArray[np.float32]:
 FRAMES_PER_S: Final = 60
 """Most frames a second that are kept."""
 WAITING: Final = 32
-"""Images, or exposures, that wait for each other."""
+"""Images and exposures, at most, that wait for each other."""
 
 
 class FrameHistory:
@@ -89,8 +89,7 @@ class FrameHistory:
             maxlen=max(16, round(span_s * FRAMES_PER_S))
         )
         self._span_us = round(1e6 * span_s)
-        self._images: dict[int, NDArray[np.float32]] = {}
-        self._exposures: dict[int, tuple[int, int]] = {}
+        self._halves: dict[int, dict[str, Any]] = {}
 
     def add_image(self, message: Any) -> None:  # noqa: ANN401
         """Add a `sensor_msgs/Image`.
@@ -99,29 +98,26 @@ class FrameHistory:
             ImageConversionError: Its encoding cannot be read.
         """
         pixels = grey(message)
-        values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-        self._images[stamp_to_ns(message.header.stamp)] = values
-        self._join(stamp_to_ns(message.header.stamp))
+        self._join(message, values=reduce_frame(pixels, float(np.iinfo(pixels.dtype).max)))
 
     def add_exposure(self, message: Any) -> None:  # noqa: ANN401
         """Add the `mixtac_msgs/FrameExposure` of an image."""
-        span = stamp_to_us(message.exposure_start), stamp_to_us(message.exposure_end)
-        self._exposures[stamp_to_ns(message.header.stamp)] = span
-        self._join(stamp_to_ns(message.header.stamp))
+        start_us, end_us = map(stamp_to_us, (message.exposure_start, message.exposure_end))
+        self._join(message, span=(start_us, end_us))
 
-    def _join(self, stamp_ns: int) -> None:
-        """Add the frame of a stamp if it is complete.
+    def _join(self, message: Any, **half: Any) -> None:  # noqa: ANN401
+        """Keep half of a frame until the other one comes.
 
         An image smaller than a cell shows nothing, and an exposure without length has no times.
         """
-        if stamp_ns in self._images and stamp_ns in self._exposures:
-            (start_us, end_us), values = self._exposures[stamp_ns], self._images[stamp_ns]
-            if values.size and start_us < end_us:
-                self._frames.append((start_us, end_us, values))
-            del self._images[stamp_ns], self._exposures[stamp_ns]
-        for waiting in (self._images, self._exposures):
-            if len(waiting) > WAITING:
-                del waiting[next(iter(waiting))]
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        both = self._halves.pop(stamp_ns, {}) | half
+        if len(both) < 2:
+            self._halves[stamp_ns] = both
+            if len(self._halves) > WAITING:
+                del self._halves[next(iter(self._halves))]
+        elif both['values'].size and both['span'][0] < both['span'][1]:
+            self._frames.append((*both['span'], both['values']))
 
     def snapshot(self) -> FrameFeatures | None:
         """Return the frames of the size of the latest one, oldest first; none if there are none."""

@@ -272,8 +272,8 @@ def coincidences(
     score, best = max(scored, key=lambda each: each[0], default=(0.0, []))
     if len(best) < fewest:
         raise NoImpulseError(
-            f'{len(x)} impulses or edges from the camera and {len(y)} from the reference, and not'
-            f' {fewest} of them with the same times between them',
+            f'{len(x)} impulses or edges from the camera and {len(y)} from the reference: {fewest}'
+            ' with the same times between them are needed',
             remedy='record both while you tap sharply on the gel, once at the beginning and once at'
             ' the end, or external_edges and reference_edges with the trigger line connected',
         )
@@ -428,6 +428,6 @@ def paired_impulses(
     bins = 10_000 // counts.width_us
     whole = len(counts.counts) // bins
     rate = counts.counts[: whole * bins].reshape(whole, bins).sum(axis=1).astype(np.float64)
-    centres = (np.arange(whole) + 0.5) * bins * counts.width_us * 1e-6
+    centres = np.arange(0.5, whole, dtype=np.float64) * bins * counts.width_us * 1e-6
     camera = prefer_isolated(find_bursts(counts, parameters), centres, rate)
     return pair_impulses(camera, reference), start_s

@@ -124,12 +124,8 @@ def test_without_frames_the_cells_common_course_times_the_tap() -> None:
 
 def test_events_of_another_course_are_left_over() -> None:
     rng = np.random.default_rng(5)
-    n = 5000
-    noise = CellEvents(
-        np.sort(rng.integers(900_000, 1_150_000, n)),
-        rng.integers(0, CELLS, n).astype(np.uint16),
-        rng.random(n) < 0.5,
-    )
+    times, cells = np.sort(rng.integers(900_000, 1_150_000, 5000)), rng.integers(0, CELLS, 5000)
+    noise = CellEvents(times, cells.astype(np.uint16), rng.random(5000) < 0.5)
     assert model_of(0.03).fit(*tap_signal(noise, 1_000_000, rng.normal(size=CELLS))).misfit > 0.65
 
 
