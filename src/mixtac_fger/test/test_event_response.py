@@ -113,14 +113,6 @@ def test_a_blow_is_told_around_its_windows_and_motion_is_none(unit):
     assert not RecurrentPath(config, tensors).blow(0, half)
 
 
-def test_frames_before_a_hole_are_not_compared_with_those_behind_it():
-    response = EventResponse()
-    response.frame(0.0, np.zeros(3))
-    response.forget_frame()
-    response.frame(0.5, np.array([0.1, 0.0, 0.0]))
-    assert response.values == (1.0, 0.0)
-
-
 @given(
     gain=st.floats(0.5, 2.0),
     play=st.floats(0.0, 0.15),

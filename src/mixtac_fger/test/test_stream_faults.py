@@ -166,16 +166,6 @@ def test_a_frame_that_comes_before_its_events_waits_for_them(model, trial):
     assert early.status().frames == later.status().frames == 2
 
 
-def test_no_force_without_packets_whatever_the_frames(model, trial):
-    estimator = ready(model, trial)
-    for index in range(20):
-        estimator.push_frame(trial.frames[0], START_US + index * FRAME_US)
-    status = estimator.status()
-    # The frame before these was used; four wait now.
-    assert status.frames == 1
-    assert status.frames_dropped == 20 - 4
-
-
 def test_saturated_windows_are_marked_and_finite(model, trial):
     estimator = ready(model, trial)
     count = SATURATION_PER_US * 2000 + 1

@@ -118,15 +118,13 @@ def test_no_contact_and_no_lamp_is_a_fault(compared, preparation, trial, gain):
     'change',
     [
         lambda image: np.roll(image, 2, 1),
-        lambda image: np.roll(image, -3, 0),
         lambda image: image * (np.arange(WIDTH) > 173),
         lambda image: image[:, ::-1],
-        lambda image: image[::-1],
         lambda image: 1023 - np.minimum(image, 1023),
         lambda image: gaussian_filter(image.astype(float), 8),
         lambda image: np.full_like(image, 1023),
     ],
-    ids=['right', 'up', 'half', 'mirror', 'flip', 'negative', 'focus', 'white'],
+    ids=['right', 'half', 'mirror', 'negative', 'focus', 'white'],
 )
 def test_what_no_contact_does_to_a_picture_is_found(compared, trial, change):
     image = np.ascontiguousarray(change(trial.frames[4])).astype(np.uint16)

@@ -183,10 +183,8 @@ def test_maps_come_back_exactly(seconds: list[int], drift: float, offset: float)
         ('a', 0.0),
         ('a', float('nan')),
         ('b', float('inf')),
-        ('camera_epoch', 1e308),
         ('camera_anchors', [float('nan'), 9.0]),
         ('reference_anchors', ['soon', 'later']),
-        ('reference_anchors', [float('nan'), 1.0]),
     ],
 )
 def test_fields_that_are_no_map_are_refused(name: str, value: object) -> None:
