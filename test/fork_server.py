@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 LARGEST_REQUEST = 1 << 20
-WARM_UPS = ('mixtac_core.events.codec', 'mixtac_driver.pixels', 'mixtac_fger.alignment.signals')
+WARM_UPS = ('mixtac_core.events.codec', 'mixtac_driver.pixels')
 """Modules that load compiled code or libraries on demand, by their function `warm_up`."""
 
 

@@ -29,8 +29,7 @@ from mixtac_core.node.topics import DEFAULT_NAMESPACE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile
 from mixtac_fger.alignment.align import align
 from mixtac_fger.alignment.bags import read_recording
-from mixtac_fger.alignment.clock_fit import ClockFit
-from mixtac_fger.alignment.errors import AlignmentError
+from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit
 from mixtac_sim.world.profiles import make_profile
 
 PRESET: Final = 'paper_like'

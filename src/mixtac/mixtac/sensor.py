@@ -32,7 +32,7 @@ from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.supervisor import SourceKind, State, Supervisor, make_source, source_kind
-from mixtac_fger.estimator import CameraFacts, check_camera, given_estimate, open_estimator
+from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -42,7 +42,7 @@ from mixtac_fger.weights import find_model, read_model
 if TYPE_CHECKING:
     from mixtac_core.events.readings import Frame
     from mixtac_driver.camera import CameraBatch
-    from mixtac_fger.estimator import EncodedFrame, Estimate
+    from mixtac_fger.estimator import EncodedFrame
 
 USB: Final = 'usb'
 VIRTUAL: Final = 'virtual'
@@ -137,7 +137,6 @@ class Sensor:
         self._opening = threading.RLock()
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
-        self._trusted: Estimate | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
         self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
 
@@ -207,7 +206,6 @@ class Sensor:
         self._check()
         with self._estimating:
             self._feed.tare()
-            self._trusted = None
             reference, name = self._feed.reference, self._settings.reference
             if name and reference is not None:
                 reference.save(state_file(name))
@@ -248,7 +246,6 @@ class Sensor:
         closing.callback(self._feed.close)
         self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
         self._shown: EncodedFrame | None = None
-        self._trusted = None
         supervisor = Supervisor(
             source,
             parameters,
@@ -308,13 +305,12 @@ class Sensor:
         with self._estimating:
             estimates = self._feed.push_events(events, batch.time_us)
             self._show_frame()
-            self._trusted = next((e for e in reversed(estimates) if e.valid), self._trusted)
         if estimates:
             latest = estimates[-1]
-            shown = given_estimate(latest, self._settings.invalid_force, self._trusted)
+            shown = latest.valid or self._settings.invalid_force == 'publish'
             reading = Reading(
                 stamp_us=latest.end_us,
-                force=math.nan if shown is None else shown.force,
+                force=latest.force if shown else math.nan,
                 deviation=math.nan if latest.deviation is None else latest.deviation,
                 valid=latest.valid,
                 reason=latest.reason,

@@ -26,8 +26,7 @@ from mixtac_core.recordings.importing import StreamWriter
 from mixtac_core.recordings.messages import set_header
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.bags import read_fit, rewrite_bag
-from mixtac_fger.alignment.clock_fit import ClockFit
-from mixtac_fger.alignment.errors import AlignmentError
+from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -60,7 +60,7 @@ CELL_FEATURES = 4
 TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
 """Widths around the contact over which moments of a frame are summed [bins]."""
 MOMENTS = 5 + len(TURNING_WIDTHS)
-"""Number of moments of a frame; see `mixtac_fger.moments`."""
+"""Number of moments of a frame; see `mixtac_fger.shear`."""
 FEWEST_WINDOWS = 10
 """Least of `FgerConfig.history_windows`: what is read around a frame."""
 LARGEST = 1_000_000
@@ -110,7 +110,7 @@ class FgerConfig:
         event_size: Size of the event feature f_e.
         frame_widths: Channels of the strided convolutions.
         frame_size: What the convolutions add to the frame feature f_frame. The moments of the
-            displacement (`mixtac_fger.moments`) are the rest of it, if the frame network is given
+            displacement (`mixtac_fger.shear`) are the rest of it, if the frame network is given
             the flow.
         lstm_size: Size of the recurrent state.
         mlp_size: Hidden width of MLP_df and MLP_corr.
@@ -175,26 +175,16 @@ class FgerConfig:
                     f'FgerConfig.{field.name} = {value}: give {least or "a number above 0"} to'
                     f' {LARGEST}'
                 )
-        if self.frame_bin % self.gradient_bin:
-            raise ConfigError(
-                f'FgerConfig.frame_bin = {self.frame_bin}: give a multiple of gradient_bin'
-                f' ({self.gradient_bin})'
-            )
-        unknown = [name for name in self.frame_channels if name not in FRAME_CHANNELS]
-        if unknown or not self.frame_channels:
-            raise ConfigError(
-                f'FgerConfig.frame_channels = {self.frame_channels}: choose from {FRAME_CHANNELS}'
-            )
-        if self.correction_point not in CORRECTION_POINTS:
-            raise ConfigError(
-                f'FgerConfig.correction_point = {self.correction_point!r}: choose one of'
-                f' {CORRECTION_POINTS}'
-            )
-        if self.shear and not self.reads_flow:
-            raise ConfigError(
-                f'FgerConfig.frame_channels = {self.frame_channels}: sideways force and torsion'
-                ' need flow_x and flow_y'
-            )
+        unknown = set(self.frame_channels) - set(FRAME_CHANNELS)
+        point, points, fine = self.correction_point, CORRECTION_POINTS, self.gradient_bin
+        for wrong, name, wanted in (
+            (self.frame_bin % fine, 'frame_bin', f'a multiple of gradient_bin = {fine}'),
+            (unknown or not self.frame_channels, 'frame_channels', f'some of {FRAME_CHANNELS}'),
+            (point not in points, 'correction_point', f'one of {points}'),
+            (self.shear and not self.reads_flow, 'frame_channels', 'flow_x and flow_y for shear'),
+        ):
+            if wrong:
+                raise ConfigError(f'FgerConfig.{name} = {getattr(self, name)!r}: give {wanted}')
 
     @property
     def reads_flow(self) -> bool:
@@ -224,14 +214,9 @@ class FgerConfig:
         return rows // ratio, columns // ratio
 
     @property
-    def cells(self) -> int:
-        """Number of cells of the event grid."""
-        return self.grid_columns * self.grid_rows
-
-    @property
     def event_inputs(self) -> int:
         """Numbers that the event encoder reads per window."""
-        return self.cells * CELL_FEATURES
+        return self.grid_columns * self.grid_rows * CELL_FEATURES
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""

@@ -25,11 +25,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.displacement import SkinScale, field_places
-from mixtac_fger.features import bin_cells
+from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale, field_places
+from mixtac_fger.features import Cells, bin_cells
 
 if TYPE_CHECKING:
-    from mixtac_fger.displacement import DisplacementField
+    from mixtac_fger.config import FgerConfig
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -221,21 +221,13 @@ def _fit(
 
 
 @njit(cache=True, nogil=True)
-def _cell_slopes(
-    places: F32,
-    tensor: F32,
-    p: F64,
-    row_cell: NDArray[np.int64],
-    column_cell: NDArray[np.int64],
-    slopes: F64,
-    tensors: F64,
-) -> None:
+def _cell_slopes(places: F32, tensor: F32, p: F64, cells: Cells, slopes: F64, tensors: F64) -> None:
     """Add the derivatives [rows, columns, 2, 8] and tensors [.., 3] of the points of cells."""
     model, here = np.empty(2), np.empty((2, PARAMETERS))
     for row in range(places.shape[1]):
         for column in range(places.shape[2]):
             _slopes(places[0, row, column] - p[3], places[1, row, column] - p[4], p, model, here)
-            i, j = row_cell[row], column_cell[column]
+            i, j = cells[0][row], cells[1][column]
             for axis in range(2):
                 for k in range(PARAMETERS):
                     slopes[i, j, axis, k] += here[axis, k]
@@ -256,7 +248,7 @@ def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
     """
     slopes, tensors = np.zeros((*grid, 2, PARAMETERS)), np.zeros((*grid, 3))
     rows, columns = bin_cells(places.shape[1:], grid)
-    _cell_slopes(places, tensor, p, rows, columns, slopes, tensors)
+    _cell_slopes(places, tensor, p, (rows, columns), slopes, tensors)
     slopes /= np.outer(np.bincount(rows), np.bincount(columns))[..., None, None]
     weights = tensors[..., [[0, 1], [1, 2]]]
     weighted = np.einsum('rcai,rcab->ircb', slopes, weights)
@@ -374,19 +366,43 @@ def contact_radius(
     return min(max(radius, NARROWEST_MM / 4.0), WIDEST_MM), spread
 
 
-class ContactFitter:
-    """Fits contacts to displacement fields; each fit starts from the result of the last one.
+class Touch(NamedTuple):
+    """The contact in a frame.
 
-    Args:
-        size: Columns and rows of the image [px].
-        scale: Of the skin in the picture; may be changed between two fits.
-        grid: Rows and columns of the event grid.
+    Attributes:
+        field: Displacement of the beads.
+        fit: The contact that explains it best.
     """
 
-    def __init__(self, size: tuple[int, int], scale: SkinScale, grid: tuple[int, int]) -> None:
-        self._size, self.scale, self._grid = size, scale, grid
-        self._parameters = np.zeros(PARAMETERS)
+    field: DisplacementField
+    fit: ContactFit
+
+
+class TouchMeter:
+    """Measures displacement and contact of frames; each fit starts from the result of the last one.
+
+    One instance per thread.
+
+    Args:
+        config: How frames become log contrasts, and the event grid.
+        scale: Of the skin in the picture.
+    """
+
+    def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
+        self._meter = FieldMeter(config)
+        self._size, self._grid = (config.width, config.height), config.grid_shape
+        self._scale, self._parameters = scale, np.zeros(PARAMETERS)
         self._seen = False
+
+    def measure(self, reference: F32, image: F32) -> Touch:
+        """Return the displacement of a picture and the contact in it.
+
+        Args:
+            reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
+            image: Coarse log contrast now, same shape.
+        """
+        field = self._meter.measure(reference, image)
+        return Touch(field, self.fit(field))
 
     def fit(self, field: DisplacementField) -> ContactFit:
         """Return the contact that explains a field best, or what looks most like one.
@@ -395,8 +411,8 @@ class ContactFitter:
             field: Displacement since the reference.
         """
         shape = field.moved.shape[1:]
-        places = field_places((shape[0], shape[1]), field.spacing_px, self.scale, self._size)
-        px = np.float32(self.scale.px_per_mm)
+        places = field_places((shape[0], shape[1]), field.spacing_px, self._scale, self._size)
+        px = np.float32(self._scale.px_per_mm)
         # Rows count downwards, y upwards.
         moved = field.moved * np.array([1.0 / px, -1.0 / px], np.float32)[:, None, None]
         bins = (field.spacing_px / field.bin_px) ** 2

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mixtac_fger.contact import ContactShape
+    from mixtac_fger.contact_tracking import ContactSettings
     from mixtac_fger.displacement import DisplacementField, SkinScale
     from mixtac_fger.estimator import Estimate
     from mixtac_fger.parameters import FgerParameters
@@ -36,33 +37,29 @@ class ContactOutputs:
 
     Args:
         node: An rclpy lifecycle node of `mixtac_core.node.base_node`.
+        settings: Its parameters.
     """
 
-    def __init__(self, node: Any) -> None:  # noqa: ANN401
-        self._node = node
-        self._publishers: dict[topics.Topic, Any] = {}
-        self._field_us = 0
-
-    def open(self, settings: FgerParameters) -> None:
-        """Create the publishers that the parameters ask for, and destroy the others."""
+    def __init__(self, node: Any, settings: FgerParameters) -> None:  # noqa: ANN401
+        self._node, self._field_us = node, 0
         chosen: tuple[topics.Topic, ...] = ()
         if settings.contact or settings.displacement != 'off':
             chosen = topics.CONTACT, topics.CONTACT_POINT
         if settings.displacement != 'off':
             chosen += topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS
-        if chosen != tuple(self._publishers):
-            self.close()
-            self._publishers = {
-                each: self._node.publish_topic(each, managed=True) for each in chosen
-            }
+        self._publishers = {each: node.publish_topic(each, managed=True) for each in chosen}
 
     def close(self) -> None:
         """Destroy the publishers."""
-        while self._publishers:
-            self._node.destroy_publisher(self._publishers.popitem()[1])
+        for publisher in self._publishers.values():
+            self._node.destroy_lifecycle_publisher(publisher)
 
     def publish(
-        self, estimator: ForceEstimator, estimates: Sequence[Estimate], settings: FgerParameters
+        self,
+        estimator: ForceEstimator,
+        estimates: Sequence[Estimate],
+        settings: FgerParameters,
+        found_by: ContactSettings,
     ) -> None:
         """Publish contact and displacement of estimates; not computed without a subscriber.
 
@@ -70,17 +67,18 @@ class ContactOutputs:
             estimator: Gave the estimates.
             estimates: Of the latest windows, at least one.
             settings: Parameters of the node.
+            found_by: How contacts are found.
         """
         used = {
             topic: publisher
             for topic, publisher in self._publishers.items()
             if publisher.get_subscription_count()
         }
-        estimator.want_contact(bool(used))
+        estimator.use_contact(found_by if used else None)
         tracker = estimator.contact
-        if tracker is None or not used:
+        if tracker is None:
             return
-        scale, size, frame_id = tracker.settings.scale, estimator.size, settings.frame_id
+        scale, size, frame_id = found_by.scale, estimator.size, settings.frame_id
         for estimate in estimates:
             contact = estimate.contact
             if contact is not None and topics.CONTACT in used:
@@ -100,7 +98,9 @@ class ContactOutputs:
         if tracker.touch is None or not wanted or now_us == self._field_us:
             return
         self._field_us, field = now_us, tracker.touch.field
-        moved = metric(tracker.moved() if carried else field.moved, scale)
+        per_px = MM / scale.px_per_mm
+        signs = np.array([per_px, -per_px], np.float32)[:, None, None]
+        moved = np.asarray((tracker.moved() if carried else field.moved) * signs, np.float32)
         if topics.DISPLACEMENT in used:
             image = field_image(moved)
             used[topics.DISPLACEMENT].publish(stamp(image, now_us, frame_id))
@@ -143,13 +143,6 @@ def fill_shape(
     message.column = column + shape.x_mm * scale.px_per_mm
     message.row = row - shape.y_mm * scale.px_per_mm
     message.scale = scale.px_per_mm / MM
-
-
-def metric(moved: F32, scale: SkinScale) -> F32:
-    """Return a displacement in the image [2, rows, columns] [px] in the contact frame [m]."""
-    per_px = MM / scale.px_per_mm
-    signs = np.array([per_px, -per_px], np.float32)[:, None, None]
-    return np.asarray(moved * signs, np.float32)
 
 
 def field_image(moved: F32) -> Image:

@@ -22,21 +22,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mixtac_fger.contact import (
-    SIGNIFICANT,
-    ContactFit,
-    ContactFitter,
-    contact_shape,
-    is_sensible,
-)
-from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
+from mixtac_fger.contact import SIGNIFICANT, contact_shape, is_sensible
+from mixtac_fger.displacement import DisplacementField, SkinScale
 from mixtac_fger.features import bin_cells
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_fger.config import FgerConfig
-    from mixtac_fger.contact import ContactShape
+    from mixtac_fger.contact import ContactShape, Touch
 
     F32 = NDArray[np.float32]
 
@@ -89,52 +82,15 @@ class ContactSettings:
     scale: SkinScale = field(default_factory=SkinScale)
 
 
-class Touch(NamedTuple):
-    """The contact in a frame.
-
-    Attributes:
-        field: Displacement of the beads.
-        fit: The contact that explains it best.
-    """
-
-    field: DisplacementField
-    fit: ContactFit
-
-
-class TouchMeter:
-    """Measures displacement and contact of frames; one per thread.
-
-    Args:
-        config: How frames become log contrasts, and the event grid.
-        scale: Of the skin in the picture.
-    """
-
-    def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
-        self._meter = FieldMeter(config)
-        self._fitter = ContactFitter((config.width, config.height), scale, config.grid_shape)
-
-    def measure(self, reference: F32, image: F32) -> Touch:
-        """Return the displacement of a picture and the contact in it.
-
-        Args:
-            reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
-            image: Coarse log contrast now, same shape.
-        """
-        found = self._meter.measure(reference, image)
-        return Touch(found, self._fitter.fit(found))
-
-
 class Contact(NamedTuple):
     """The contact at the end of a window.
 
     Attributes:
-        end_us: End of the window, camera clock [us].
         touching: Whether something touches the sensor.
         shape: Place and shape, in the contact frame; None without contact and until a frame has
             shown where it is.
     """
 
-    end_us: int
     touching: bool
     shape: ContactShape | None
 
@@ -251,8 +207,8 @@ class ContactTracker:
         self._switch(end_us, force)
         touch = self.touch
         if not self._touching or touch is None or not touch.fit.seen:
-            return Contact(end_us, self._touching, None)
-        return Contact(end_us, True, self._shape(touch))
+            return Contact(self._touching, None)
+        return Contact(touching=True, shape=self._shape(touch))
 
     def moved(self) -> F32:
         """Return the displacement now, by the latest frame and events, as its field has it [px]."""
@@ -299,14 +255,12 @@ class ContactTracker:
         if self.touch is not None:
             self._dent = self.touch.fit.significance
 
-    def _shows_more(self) -> bool:
-        """Return whether the latest picture shows more than what the last contact left."""
-        return self.touch is None or self.touch.fit.significance > self._dent + SIGNIFICANT
-
     def _begin(self, end_us: int, risen: float) -> None:
         """Find out whether a contact begins, by how far the force has risen [N]."""
         self._above = self._above + 1 if risen > self.settings.on_n else 0
-        lasting = self._above >= SURE_WINDOWS and self._shows_more()
+        # The latest picture has to show more than what the last contact left.
+        more = self.touch is None or self.touch.fit.significance > self._dent + SIGNIFICANT
+        lasting = self._above >= SURE_WINDOWS and more
         self._touching = lasting or risen > SURE_SHARE * self.settings.on_n
         if self._touching:
             self._since_us, self._above = end_us, 0

@@ -99,22 +99,17 @@ class DisplacementField:
     spacing_px: int
     bin_px: int
 
-    def deviation(self) -> F32:
-        """Return the standard deviation of the displacement [px], float32 [rows, columns].
+    def confidence(self) -> F32:
+        """Return how far each displacement is to be believed, 0 to 1, float32 [rows, columns].
 
-        Of the less certain direction, from the texture of the point's box and the noise.
+        One half where its standard deviation in the less certain direction, from the texture of the
+        point's box and the noise, is a quarter of a pixel.
         """
         xx, xy, yy = self.tensor
         low = 0.5 * (xx + yy - np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy))
         box = (2 * RADIUS + 1) ** 2
-        return np.asarray(self.noise / np.sqrt(box * np.maximum(low, 1e-9)), np.float32)
-
-    def confidence(self) -> F32:
-        """Return how far each displacement is to be believed, 0 to 1, float32 [rows, columns].
-
-        One half where the standard deviation is a quarter of a pixel.
-        """
-        return np.asarray(1.0 / (1.0 + (self.deviation() / 0.25) ** 2), np.float32)
+        deviation = self.noise / np.sqrt(box * np.maximum(low, 1e-9))
+        return np.asarray(1.0 / (1.0 + (deviation / 0.25) ** 2), np.float32)
 
 
 @njit(cache=True, nogil=True)

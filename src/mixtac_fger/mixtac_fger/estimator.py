@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_core.events.arrays import Events
-    from mixtac_fger.contact_tracking import Contact, Touch
+    from mixtac_fger.contact import Touch
+    from mixtac_fger.contact_tracking import Contact
     from mixtac_fger.displacement import SkinScale
     from mixtac_fger.reference import Reference
     from mixtac_fger.shear import Shear
@@ -138,11 +139,6 @@ class Estimator(ABC):
         """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
         return np.zeros((1, 1, 2), np.float32)
 
-    @property
-    def hot_events(self) -> int:
-        """Events of hot pixels that were ignored so far."""
-        return 0
-
     def find_contacts(self, scale: SkinScale | None) -> None:  # noqa: B027 - optional
         """Measure the contact of all further frames, if `finds_contact`; None disables this."""
 
@@ -210,19 +206,6 @@ class Estimate(NamedTuple):
         return self.reason is Reason.TRUSTED
 
 
-def given_estimate(estimate: Estimate, policy: str, trusted: Estimate | None) -> Estimate | None:
-    """Return the estimate to publish for a window, as set by `invalid_force`; None for none.
-
-    Args:
-        estimate: Estimate of the window.
-        policy: Value of the parameter `invalid_force`.
-        trusted: Latest valid estimate, up to this one; None before the first.
-    """
-    if estimate.valid or policy == 'publish':
-        return estimate
-    return trusted if policy == 'hold' else None
-
-
 def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
     """Write everything but the header of a `ForceQuality` message."""
     message.force = estimate.force
@@ -241,55 +224,32 @@ class EstimatorStatus:
     """Counters of the live estimator since its creation, and its present state.
 
     Attributes:
-        windows: Windows closed.
-        estimates: Forces given.
         withheld: Windows without a force although there was an estimate: no packet covered them, or
             the latest frame was too old.
-        invalid: Forces that cannot be trusted.
-        incomplete: Forces of windows with missing packets.
         saturated: Windows with so many events that the sensor has probably lost some.
         frames: Frames applied.
         frames_dropped: Frames replaced by a newer one before they were encoded or applied.
         frames_off_clock: Frames not used because their exposure is not near the time of the events.
         bad_frames: Frames that are damaged, or of a size that the model does not read (background
             only).
-        gaps: Holes in the stream.
-        skipped_windows: Windows in holes so long that the estimate started over.
+        problem: Why the latest of these was refused.
         late_events: Events dropped because their window was closed.
-        hot_events: Events of hot pixels that were ignored.
-        tares: Times the reference was renewed on release (`ForceEstimator.tare_on_release`).
         resets: Times the clock went backwards or the state was not finite.
-        ready: Whether windows give forces now.
-        reason: Why windows give no forces; empty when ready.
-        frame_age_us: Camera time since the centre of the latest frame's exposure; -1 without a
-            frame.
-        frame_force: Frames-only force of the latest frame [N].
-        deviation: Standard deviation of the latest force [N]; -1 if the model estimates none.
+        reason: Why windows give no forces; empty if they do.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
     """
 
-    windows: int = 0
-    estimates: int = 0
     withheld: int = 0
-    invalid: int = 0
-    incomplete: int = 0
     saturated: int = 0
     frames: int = 0
     frames_dropped: int = 0
     frames_off_clock: int = 0
     bad_frames: int = 0
-    gaps: int = 0
-    skipped_windows: int = 0
+    problem: str = ''
     late_events: int = 0
-    hot_events: int = 0
-    tares: int = 0
     resets: int = 0
-    ready: bool = False
     reason: str = ''
-    frame_age_us: int = -1
-    frame_force: float = 0.0
-    deviation: float = -1.0
     validity: str = Reason.TRUSTED.name
     zero_drift: float = 0.0
 
@@ -307,13 +267,11 @@ class CameraFacts:
     Attributes:
         width: Columns of its frames [px]; 0 while unknown.
         height: Rows [px].
-        cut: Whether the camera sends only a region, or binned pixels.
         serial: Serial number, empty while unknown.
     """
 
     width: int = 0
     height: int = 0
-    cut: bool = False
     serial: str = ''
 
 
@@ -321,7 +279,7 @@ def check_camera(estimator: Estimator, card: ModelCard, camera: CameraFacts) -> 
     """Reject a camera that the model was not made for; unknown properties are not checked.
 
     Raises:
-        ModelError: Size, region or serial number do not fit.
+        ModelError: Size or serial number do not fit.
     """
     wanted = (estimator.width, estimator.height)
     if camera.width and (camera.width, camera.height) != wanted:
@@ -329,10 +287,6 @@ def check_camera(estimator: Estimator, card: ModelCard, camera: CameraFacts) -> 
             f'the camera has {camera.width} x {camera.height} pixels, the model reads'
             f' {wanted[0]} x {wanted[1]}',
             remedy='choose a model of this size',
-        )
-    if camera.cut:
-        raise ModelError(
-            'the camera sends binned pixels or a region only', remedy='set it to full resolution'
         )
     serial = str(card.training.get(SERIAL_KEY, ''))
     if serial and camera.serial and serial != camera.serial:

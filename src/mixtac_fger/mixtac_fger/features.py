@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,11 +16,18 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
-from mixtac_fger.moments import moments
+from mixtac_fger.shear import moments
 from mixtac_fger.validity import PictureFigures, picture_figures
 
 F32 = NDArray[np.float32]
+I8 = NDArray[np.int8]
+U16 = NDArray[np.uint16]
+Bools = NDArray[np.bool_]
 Index = NDArray[np.int64]
+Cells = tuple[Index, Index]
+"""Grid row of each row of a map, and grid column of each of its columns."""
+Places = tuple[Index, Index, U16]
+"""The same of the bins, and the bin of each coordinate of an event that there can be."""
 
 
 class ImageError(MixtacError):
@@ -28,26 +36,19 @@ class ImageError(MixtacError):
 
 @njit(cache=True, nogil=True)
 def cell_solvers(
-    along_x: F32,
-    along_y: F32,
-    row_cell: Index,
-    column_cell: Index,
-    pixels_per_bin: int,
-    regularisation: float,
-    out: F32,
+    along_x: F32, along_y: F32, cells: Cells, pixels_per_bin: int, regularisation: float, out: F32
 ) -> None:
     """Write the inverse of each cell's regularised structure tensor.
 
     Args:
         along_x: Log-gradient along x [1/px], float32 [rows, columns] of bins.
         along_y: The same along y.
-        row_cell: Grid row of each row of bins, int64 [rows].
-        column_cell: Grid column of each column of bins, int64 [columns].
+        cells: Of the bins, of `bin_cells`.
         pixels_per_bin: Sensor pixels in a bin.
         regularisation: Added per pixel to the diagonal [1/px^2].
         out: xx, xy, yy of the inverse, float32 [grid rows, grid columns, 3].
     """
-    rows, columns = along_x.shape
+    (rows, columns), (row_cell, column_cell) = along_x.shape, cells
     tensor = np.zeros((out.shape[0], out.shape[1], 3), np.float64)
     for row in range(rows):
         for column in range(columns):
@@ -107,22 +108,24 @@ FADING_WINDOWS = 10
 """Windows in which every balance fades by a quarter, a part of the rows in each."""
 
 
+class EventGuide(NamedTuple):
+    """Contribution of the latest frame to the features of an event window.
+
+    Attributes:
+        along_x: Log-gradient along x [1/px], float32 [rows, columns] of gradient bins.
+        along_y: The same along y.
+        solvers: Inverse structure tensors, float32 [grid rows, grid columns, 3].
+    """
+
+    along_x: F32
+    along_y: F32
+    solvers: F32
+
+
 @njit(cache=True, nogil=True)
 def grid_features(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    polarity: NDArray[np.bool_],
-    along_x: F32,
-    along_y: F32,
-    row_cell: Index,
-    column_cell: Index,
-    bins: NDArray[np.uint16],
-    solvers: F32,
-    flow_limit: float,
-    balance: NDArray[np.int8],
-    most: int,
-    out: F32,
-) -> tuple[bool, int]:
+    x: U16, y: U16, on: Bools, guide: EventGuide, cells: Places, limit: float, balance: I8, out: F32
+) -> bool:
     """Write the features of one window: per cell flow x, flow y, ln(1 + ON), ln(1 + OFF).
 
     A bead edge that moves by u changes the log intensity by -g u; each event reports one threshold
@@ -132,56 +135,51 @@ def grid_features(
     Args:
         x: Columns, uint16 [n].
         y: Rows, uint16 [n].
-        polarity: True where brighter, bool [n].
-        along_x: Log-gradient of the latest frame along x [1/px], float32 [rows, columns] of bins.
-        along_y: The same along y.
-        row_cell: Grid row of each row of bins.
-        column_cell: Grid column of each column of bins.
-        bins: Bin of each coordinate that there can be, uint16 [65536]: a table, since divisions are
-            what takes longest.
-        solvers: From `cell_solvers`.
-        flow_limit: Bound of |flow| per axis [px per threshold].
-        balance: ON less OFF events of each pixel lately, int8 [height, width]; updated.
-        most: Balance beyond which, with either sign, a pixel's events are ignored.
+        on: True where brighter, bool [n].
+        guide: Of the latest frame.
+        cells: Of the bins; the bins of the coordinates are a table, uint16 [65536], since divisions
+            are what takes longest.
+        limit: Bound of |flow| per axis [px per threshold].
+        balance: ON less OFF events of each pixel lately, int8 [height, width]; updated. The events
+            of a pixel beyond `MOST_BALANCE` are ignored.
         out: float32 [grid rows, grid columns, 4].
 
     Returns:
-        Whether the events are those of a lamp, see `_is_light`, and how many were ignored.
+        Whether the events are those of a lamp, see `_is_light`.
     """
-    rows, columns = along_x.shape
+    rows, columns = guide.along_x.shape
+    row_cell, column_cell, bins = cells
     out[:] = 0.0
-    ignored = 0
     for index in range(x.shape[0]):
         row, column = bins[y[index]], bins[x[index]]
         if row >= rows or column >= columns:
             continue
-        level, step = int(balance[y[index], x[index]]), 1 if polarity[index] else -1
+        level, step = int(balance[y[index], x[index]]), 1 if on[index] else -1
         level += 2 * step if level * step < 0 else step
         balance[y[index], x[index]] = min(max(level, -LARGEST_BALANCE), LARGEST_BALANCE)
-        if abs(level) > most:
-            ignored += 1
+        if abs(level) > MOST_BALANCE:
             continue
         cell = out[row_cell[row], column_cell[column]]
-        if polarity[index]:
-            cell[0] += along_x[row, column]
-            cell[1] += along_y[row, column]
+        if on[index]:
+            cell[0] += guide.along_x[row, column]
+            cell[1] += guide.along_y[row, column]
             cell[2] += np.float32(1.0)
         else:
-            cell[0] -= along_x[row, column]
-            cell[1] -= along_y[row, column]
+            cell[0] -= guide.along_x[row, column]
+            cell[1] -= guide.along_y[row, column]
             cell[3] += np.float32(1.0)
     light: bool = _is_light(out)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            cell, inverse = out[row, column], solvers[row, column]
+            cell, inverse = out[row, column], guide.solvers[row, column]
             sum_x, sum_y = cell[0], cell[1]
             flow_x = -(inverse[0] * sum_x + inverse[1] * sum_y)
             flow_y = -(inverse[1] * sum_x + inverse[2] * sum_y)
-            cell[0] = min(max(flow_x, -flow_limit), flow_limit)
-            cell[1] = min(max(flow_y, -flow_limit), flow_limit)
+            cell[0] = min(max(flow_x, -limit), limit)
+            cell[1] = min(max(flow_y, -limit), limit)
             cell[2] = np.log1p(cell[2])
             cell[3] = np.log1p(cell[3])
-    return light, ignored
+    return light
 
 
 @njit(cache=True, nogil=True)
@@ -199,21 +197,6 @@ def fade(balance: NDArray[np.int8]) -> None:
 
 COORDINATES = 2**16
 """Values that the coordinate of an event can have."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EventGuide:
-    """Contribution of the latest frame to the features of an event window.
-
-    Attributes:
-        along_x: Log-gradient along x [1/px], float32 [rows, columns] of gradient bins.
-        along_y: The same along y.
-        solvers: Inverse structure tensors, float32 [grid rows, grid columns, 3].
-    """
-
-    along_x: F32
-    along_y: F32
-    solvers: F32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,7 +245,7 @@ class FramePreparation:
         self._even = np.empty(config.frame_shape, np.float32)
         self._light = light_basis(config.frame_shape)
         self._reads_flow = bool({'flow_x', 'flow_y'} & set(config.frame_channels))
-        self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
+        self._cells = bin_cells(config.gradient_shape, config.grid_shape)
 
     def contrast(self, image: NDArray[np.uint16] | NDArray[np.uint8]) -> Contrast:
         """Return the log contrast of a frame.
@@ -293,15 +276,8 @@ class FramePreparation:
         along_x, along_y = np.empty_like(contrast.fine), np.empty_like(contrast.fine)
         gradients(contrast.fine, config.gradient_bin, along_x, along_y)
         solvers = np.empty((config.grid_rows, config.grid_columns, 3), np.float32)
-        cell_solvers(
-            along_x,
-            along_y,
-            self._row_cell,
-            self._column_cell,
-            config.gradient_bin**2,
-            config.cell_regularisation,
-            solvers,
-        )
+        per_bin, ridge = config.gradient_bin**2, config.cell_regularisation
+        cell_solvers(along_x, along_y, self._cells, per_bin, ridge, solvers)
         return EventGuide(along_x, along_y, solvers)
 
     def network_input(self, contrast: Contrast, reference: F32) -> F32:
@@ -376,17 +352,14 @@ class WindowFeatures:
 
     Args:
         config: Network configuration.
-
-    Attributes:
-        ignored: Events of hot pixels so far.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         self._config = config
         self._balance = np.zeros((config.height, config.width), np.int8)
-        self._count = self.ignored = 0
-        self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
-        self._bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
+        self._count = 0
+        bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
+        self._places = (*bin_cells(config.gradient_shape, config.grid_shape), bins)
         self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
 
     def compute(self, events: Events, guide: EventGuide, out: F32) -> bool:
@@ -398,22 +371,8 @@ class WindowFeatures:
         config = self._config
         self._count += 1
         fade(self._balance[self._count % FADING_WINDOWS :: FADING_WINDOWS])
-        light, ignored = grid_features(
-            events.x,
-            events.y,
-            events.polarity,
-            guide.along_x,
-            guide.along_y,
-            self._row_cell,
-            self._column_cell,
-            self._bins,
-            guide.solvers,
-            config.flow_limit,
-            self._balance,
-            MOST_BALANCE,
-            out,
-        )
-        self.ignored += ignored
+        pixels, limit = (events.x, events.y, events.polarity), config.flow_limit
+        light = grid_features(*pixels, guide, self._places, limit, self._balance, out)
         if not config.gradient_flow:
             out[..., :2] = 0.0
         return bool(light)

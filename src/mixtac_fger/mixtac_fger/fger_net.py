@@ -39,7 +39,7 @@ from mixtac_fger.config import (
     operations_per_cycle,
     tensor_shapes,
 )
-from mixtac_fger.contact_tracking import TouchMeter
+from mixtac_fger.contact import TouchMeter
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
@@ -114,8 +114,7 @@ def checked_config(model: Model) -> FgerConfig:
                 f'tensor {name} has shape {shapes.get(name)}, but {wanted.get(name)} is needed',
                 remedy=MODEL_REMEDY,
             )
-    for name in DIVISORS & shapes.keys():
-        if not (model.tensors[name] > 0.0).all():
+        if name in DIVISORS and not (model.tensors[name] > 0.0).all():
             raise ModelError(f'tensor {name} has values that are not above 0', remedy=MODEL_REMEDY)
     return config
 
@@ -313,11 +312,6 @@ class FgerEstimator(Estimator):
         self._rest_deviation = REST_DEVIATION * config.force_unit
         self._touch: TouchMeter | None = None
         self._shear = ShearHead(config, model.tensors) if config.shear else None
-
-    @property
-    def hot_events(self) -> int:
-        """Events of hot pixels, which are ignored, so far."""
-        return self._window_features.ignored
 
     @property
     def flow(self) -> NDArray[np.float32]:

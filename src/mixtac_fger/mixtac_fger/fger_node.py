@@ -8,7 +8,7 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -19,7 +19,7 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import PICTURE_KERNELS
 from mixtac_core.events.packets import CodecError, read_packet
 from mixtac_core.node import topics
-from mixtac_core.node.base_node import BaseNode, declare, run
+from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_core.node.files import state_file
 from mixtac_core.node.process import freeze_loaded
@@ -30,7 +30,6 @@ from mixtac_fger.estimator import (
     CameraFacts,
     check_camera,
     fill_quality,
-    given_estimate,
     open_estimator,
 )
 from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
@@ -42,17 +41,17 @@ from mixtac_msgs.msg import ForceQuality
 
 if TYPE_CHECKING:
     from lifecycle_msgs.srv import ChangeState
-    from numpy.typing import NDArray
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
-    from mixtac_fger.estimator import Estimate, Estimator
+    from mixtac_fger.estimator import Estimator
     from mixtac_fger.weights import Model
 
 
 class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     """Estimates force while active.
 
-    Configure loads the model and the reference and checks them against the camera; activate starts.
+    Configure loads the model and checks it against the camera; activate loads the reference and
+    starts.
     Without a stored reference the forces are not valid until ~/tare, unless `assume_free` is set.
     """
 
@@ -63,19 +62,14 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._refusal: MixtacError = ModelError('the estimator failed', remedy='see the log')
         self._model: Model | None = None
         self._estimator: Estimator | None = None
-        self._reference: NDArray[Any] | None = None
         self._feed: LiveFeed | None = None
-        self._trusted: Estimate | None = None
         self._camera = CameraFacts()
         self._misfit = ''
         self._inputs: list[object] = []
-        self._force: Any = None
-        self._quality: Any = None
-        self._outputs = ContactOutputs(self)
         self._lens = 0.0, (0.0, 0.0)
         self._message = topics.WrenchWriter(self._settings.frame_id)
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
-        self.create_service(Trigger, '~/tare', self._tare)
+        self.create_service(Trigger, '~/tare', answering(self._on_tare))
         self.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
         self.subscribe_topic(topics.CAMERA_INFO, self._on_camera_info)
 
@@ -85,25 +79,19 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         Raises:
             MixtacError: It refuses.
         """
-        if not self._to_start:
-            return
-        self._to_start = False
+        start, self._to_start = self._to_start and self._model is None, False
         success = TransitionCallbackReturn.SUCCESS
-        if self._model is None and (
-            self.trigger_configure() != success or self.trigger_activate() != success
-        ):
+        steps = self.trigger_configure, self.trigger_activate
+        if start and any(step() != success for step in steps):
             raise self._refusal
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load and check the model and the reference, compile what runs in real time."""
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Load and check the model, compile what runs in real time."""
         settings = self._settings
         try:
             model = read_model(find_model(settings.model))
             estimator = open_estimator(model)
             check_camera(estimator, model.card, self._camera)
-            self._reference = stored_reference(
-                _reference_file(settings, self._camera.serial), estimator.reference
-            )
         except MixtacError as error:
             return self._refuse(error)
         with self._diagnostics.compiling('the packet codec'):
@@ -113,11 +101,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not forces:
             return self._refuse(ModelError('it gives no force', remedy=MODEL_REMEDY))
         self._model, self._estimator, self._misfit = model, estimator, ''
-        self._force = self.publish_topic(topics.FORCE, managed=True)
-        self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
-        self._outputs.open(settings)
         self._diagnostics.hardware_id = settings.model
-        return super().on_configure(state)
+        return TransitionCallbackReturn.SUCCESS
 
     def _refuse(self, error: MixtacError) -> TransitionCallbackReturn:
         self._refusal = error
@@ -125,18 +110,20 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         return TransitionCallbackReturn.FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start estimating."""
+        """Start estimating, from the stored reference if there is one."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
         settings = self._settings
-        self._outputs.open(settings)
         self._estimator = open_estimator(self._model)
-        self._trusted = None
-        if self._reference is not None and self._estimator.reference is not None:
-            self._estimator.reference.use(self._reference)
+        try:
+            stored_reference(self._reference_file(settings), self._estimator.reference)
+        except MixtacError as error:
+            return self._refuse(error)
         options = settings.estimator_options() | {'assume_free': settings.assume_free}
         estimator = ForceEstimator(self._estimator, background_frames=True, **options)
-        if settings.contact or settings.displacement != 'off':
-            estimator.use_contact(settings.contact_settings(*self._lens))
+        self._force = self.publish_topic(topics.FORCE, managed=True)
+        self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
+        self._contact = settings.contact_settings(*self._lens)
+        self._outputs = ContactOutputs(self, settings)
         self._feed = LiveFeed(estimator, deadline_s=settings.deadline)
         freeze_loaded()
         compressed = settings.image_transport == 'compressed'
@@ -147,43 +134,30 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         ]
         return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop estimating and forget the reference, unless it is stored."""
         self.close()
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the model."""
-        self._end()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop estimating for good."""
-        self._end()
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Return to the unconfigured state after a defect, to allow another start."""
-        self._end()
-        super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the model; after a defect, this allows another start."""
+        self.close()
+        self._model = self._estimator = None
+        return TransitionCallbackReturn.SUCCESS
+
+    on_shutdown = on_error = on_cleanup
+
     def close(self) -> None:
-        """End the subscriptions and the frame thread."""
+        """End the subscriptions, the publishers of estimates and the frame thread."""
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
         self._inputs = []
         if self._feed is not None:
             self._feed.close()
             self._feed = None
-
-    def _end(self) -> None:
-        self.close()
-        self._outputs.close()
-        for publisher in (self._force, self._quality):
-            if publisher is not None:
-                self.destroy_publisher(publisher)
-        self._force = self._quality = self._model = self._estimator = None
+            self._outputs.close()
+            for publisher in (self._force, self._quality):
+                self.destroy_lifecycle_publisher(publisher)
 
     def _LifecycleNodeMixin__on_change_state(  # noqa: N802 - rclpy's own name for it
         self, request: ChangeState.Request, response: ChangeState.Response
@@ -215,7 +189,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             read_model(find_model(wanted.model))
         if wanted.reference != before.reference:
             state_file(wanted.reference or 'none')
-            self._load_reference(wanted)
+            if self._feed is not None:
+                self._feed.estimator.load_reference(self._reference_file(wanted))
         if self._feed is not None:
             self._feed.deadline_s = wanted.deadline
             for name, value in wanted.estimator_options().items():
@@ -224,31 +199,29 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._settings = wanted
 
     def _on_camera_info(self, info: CameraInfo) -> None:
-        region = info.roi
-        part = (region.x_offset, region.y_offset, region.width, region.height)
-        cut = max(info.binning_x, info.binning_y) > 1 or part not in {
-            (0, 0, info.width, info.height),
-            (0, 0, 0, 0),
-        }
         focal, column, row = map(float, (info.k[0], info.k[2], info.k[5]))
-        lens = focal, (column, row)
-        if 0.0 < focal < math.inf and lens != self._lens:
-            self._lens = lens
-            if self._feed is not None and self._feed.estimator.contact is not None:
-                self._feed.estimator.use_contact(self._settings.contact_settings(*lens))
-        self._check_camera(replace(self._camera, width=info.width, height=info.height, cut=cut))
+        if 0.0 < focal < math.inf:
+            self._lens = focal, (column, row)
+            self._contact = self._settings.contact_settings(*self._lens)
+        self._check_camera(replace(self._camera, width=info.width, height=info.height))
 
     def _on_clock(self, message: TimeReference) -> None:
         self._check_camera(replace(self._camera, serial=message.source))
 
     def _check_camera(self, camera: CameraFacts) -> None:
-        if camera == self._camera:
-            return
         before, self._camera = self._camera, camera
-        if self._model is None or self._estimator is None:
+        if camera == before or self._model is None or self._estimator is None:
             return
-        if camera.serial != before.serial:
-            self._use_reference_of(before.serial)
+        if camera.serial != before.serial and self._feed is not None:
+            estimator = self._feed.estimator
+            if before.serial:
+                self.get_logger().warning(f'camera {camera.serial} replaces {before.serial}')
+                estimator.change_camera()
+            name = '' if self._settings.reference else self._reference_file(self._settings)
+            try:
+                estimator.load_reference(name)
+            except MixtacError as error:
+                self.get_logger().warning(f'{error}')
         try:
             check_camera(self._estimator, self._model.card, camera)
             self._misfit = ''
@@ -256,27 +229,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             self._misfit = str(error)
             self.get_logger().error(self._misfit)
 
-    def _use_reference_of(self, before: str) -> None:
-        """Use the stored reference of the connected camera; forget that of the camera before."""
-        if before:
-            self._trusted = None
-            self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
-            if self._feed is not None:
-                self._feed.estimator.change_camera()
-        if not self._settings.reference:
-            self._reference = None
-            try:
-                self._load_reference(self._settings)
-            except MixtacError as error:
-                self.get_logger().warning(f'{error}')
-
-    def _load_reference(self, settings: FgerParameters) -> None:
-        """Use the stored reference from now on; raises as `stored_reference`."""
-        if self._estimator is not None:
-            name = _reference_file(settings, self._camera.serial)
-            self._reference = stored_reference(name, self._estimator.reference)
-        if self._feed is not None and self._reference is not None:
-            self._feed.estimator.use_reference(self._reference)
+    def _reference_file(self, settings: FgerParameters) -> str:
+        """Return the name of the reference's file; empty if there is to be none."""
+        if settings.reference or settings.assume_free:
+            return settings.reference
+        return reference_name(self._camera.serial)
 
     def _on_events(self, message: bytes) -> None:
         """Publish the forces of a packet: bytes as the middleware has them."""
@@ -292,12 +249,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not estimates:
             return
         for estimate in estimates:
-            if estimate.valid:
-                self._trusted = estimate
-            shown = given_estimate(estimate, self._settings.invalid_force, self._trusted)
-            if shown is not None:
-                x, y, torque = (0.0, 0.0, 0.0) if shown.shear is None else shown.shear[:3]
-                wrench = (x, y, shown.force, 0.0, 0.0, torque)
+            if estimate.valid or self._settings.invalid_force == 'publish':
+                x, y, torque = (0.0, 0.0, 0.0) if estimate.shear is None else estimate.shear[:3]
+                wrench = (x, y, estimate.force, 0.0, 0.0, torque)
                 self._force.publish(self._message.serialised(1000 * estimate.end_us, wrench))
         now_ns = time.time_ns()
         # Off the critical path from here on.
@@ -307,34 +261,21 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 quality = stamp(ForceQuality(), estimate.end_us, self._settings.frame_id)
                 fill_quality(quality, estimate)
                 self._quality.publish(quality)
-        self._outputs.publish(feed.estimator, estimates, self._settings)
+        self._outputs.publish(feed.estimator, estimates, self._settings, self._contact)
 
     def _on_image(self, message: Image | CompressedImage) -> None:
         if self._feed is not None and not self._misfit:
             self._feed.image(message, stamp_to_us(message.header.stamp))
 
-    def _tare(self, _request: Trigger.Request, reply: Trigger.Response) -> Trigger.Response:
-        try:
-            if self._feed is None:
-                raise TareError('the node is not active', remedy='activate it first')
-            self._feed.estimator.tare()
-            self._trusted = None
-            stored = self._store_reference(self._feed)
-        except MixtacError as error:
-            reply.success, reply.message = False, str(error)
-        else:
-            reply.success, reply.message = True, 'the present force is zero now' + stored
-        return reply
-
-    def _store_reference(self, feed: LiveFeed) -> str:
-        reference = feed.estimator.reference
-        name = _reference_file(self._settings, self._camera.serial)
+    def _on_tare(self, _request: Trigger.Request) -> str:
+        if self._feed is None:
+            raise TareError('the node is not active', remedy='activate it first')
+        self._feed.estimator.tare()
+        reference, name = self._feed.estimator.reference, self._reference_file(self._settings)
         if not name or reference is None:
-            return ''
-        path = state_file(name)
-        reference.save(path)
-        self._reference = reference.array
-        return f'; reference written to {path}'
+            return 'the present force is zero now'
+        reference.save(state_file(name))
+        return f'the present force is zero now; reference written to {state_file(name)}'
 
     def _status(self) -> Status:
         if self._misfit:
@@ -342,16 +283,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
-        level, message = feed_diagnosis(found)
-        values = found.values | {'camera_checked': bool(self._camera.width)}
-        return Status(level, message, values)
-
-
-def _reference_file(settings: FgerParameters, serial: str) -> str:
-    """Return the name of the reference's file; empty if there is to be none."""
-    if settings.reference or settings.assume_free:
-        return settings.reference
-    return reference_name(serial)
+        return Status(*feed_diagnosis(found), found.values)
 
 
 main = partial(run, FgerNode)

@@ -279,8 +279,8 @@ def plateau_of(span: Stretch, before: Stretch, after: Stretch | None, kind: Kind
     """
     rests = (before,) if after is None else (before, after)
     seen = span.mean_n - sum(each.mean_n for each in rests) / len(rests)
-    left = abs(rests[-1].mean_n - before.mean_n)
     # The zero may have changed at any time between the rests, and creep belongs to no moment.
+    left = abs(rests[-1].mean_n - before.mean_n)
     errors = [span.error_n, *(each.error_n / len(rests) for each in rests), left / math.sqrt(12.0)]
     errors.append(abs(span.creep_n_per_s) * span.seconds / math.sqrt(12.0))
     found = Plateau(span, rests, seen, math.hypot(*errors))
@@ -389,11 +389,8 @@ def unsteady(
             'too few loads are seen: one did not arrive, or lies off the gel', 'contact'
         )
     first, last = max(runs, key=lambda run: run[1] - run[0])
-    sizes = np.abs(means[first:last])
     return ForceCalibrationError(
-        f'the force is never steady from {times[first]:.1f} to {times[last - 1]:.1f} s: it goes'
-        f' from {sizes.min():.3f} to {sizes.max():.3f} N',
-        'unsteady',
+        f'the force is never steady from {times[first]:.1f} to {times[last - 1]:.1f} s', 'unsteady'
     )
 
 

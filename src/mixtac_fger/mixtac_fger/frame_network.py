@@ -36,6 +36,10 @@ class RowScratch(NamedTuple):
     sums: F32
 
 
+Maps = tuple[F32, ...]
+Scratch = tuple[RowScratch, ...]
+
+
 class FrameWeights(NamedTuple):
     """Weights of the frame network, float32; maps are [rows, columns, channels].
 
@@ -86,7 +90,7 @@ def frame_weights(tensors: Tensors, config: FgerConfig) -> FrameWeights:
     )
 
 
-def frame_maps(config: FgerConfig) -> tuple[F32, ...]:
+def frame_maps(config: FgerConfig) -> Maps:
     """Return scratch memory for the input and the output of each convolution.
 
     Maps have a border of zeros, one pixel on each side, which is never written to.
@@ -97,7 +101,7 @@ def frame_maps(config: FgerConfig) -> tuple[F32, ...]:
     )
 
 
-def row_scratch(config: FgerConfig) -> tuple[RowScratch, ...]:
+def row_scratch(config: FgerConfig) -> Scratch:
     """Return scratch memory for each convolution."""
     shapes = map_shapes(config)
     return tuple(
@@ -170,18 +174,13 @@ def _project(source: F32, weights: FrameWeights, feature: F32) -> None:
 
 @njit(cache=True, nogil=True)
 def frame_step(
-    inputs: F32,
-    moments: F32,
-    weights: FrameWeights,
-    maps: tuple[F32, ...],
-    scratch: tuple[RowScratch, ...],
-    feature: F32,
+    inputs: F32, moments: F32, weights: FrameWeights, maps: Maps, scratch: Scratch, feature: F32
 ) -> Any:  # noqa: ANN401
     """Write f_frame and return the frames-only force [N].
 
     Args:
         inputs: Network input, float32 [channels, rows, columns].
-        moments: Of the displacement (`mixtac_fger.moments`), float32 [9]; empty for none.
+        moments: Of the displacement (`mixtac_fger.shear`), float32 [9]; empty for none.
         weights: Weights of the frame network.
         maps: Of `frame_maps`; changed.
         scratch: Of `row_scratch`; changed.

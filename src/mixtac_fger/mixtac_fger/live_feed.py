@@ -17,29 +17,17 @@ from mixtac_fger.features import ImageError
 from mixtac_fger.validity import Reason
 
 if TYPE_CHECKING:
-    from mixtac_core.events.packets import DecodedPacket
     from mixtac_fger.estimator import Estimate, EstimatorStatus
     from mixtac_fger.streaming import ForceEstimator
 
 
 COMPARABLE_NS = 10_000_000_000
 """Ages beyond this, or below zero, come from replayed stamps or another host's clock [ns]."""
-WATCHED = {
-    'lost_packets': 'event packets lost',
-    'repeated_packets': 'event packets received twice (is there a second publisher?)',
-    'publisher_restarts': 'restarts of the publisher',
-    'bad_messages': 'messages refused',
-    'bad_frames': 'frames refused',
-    'resets': 'restarts of the clock or the state',
-    'late_events': 'events too late for their window',
-    'withheld': 'windows without force',
-    'saturated': 'windows saturated',
-    'late': 'forces late',
-    'slow_windows': 'windows that took longer to compute than they last',
-    'frames_off_clock': 'frames whose time does not match the events',
-    'frames_dropped': 'frames dropped',
-}
-"""Counters whose rise is a warning, and what each counts."""
+WATCHED = (
+    *('lost_packets', 'repeated_packets', 'bad_messages', 'bad_frames', 'resets', 'late_events'),
+    *('withheld', 'saturated', 'late', 'frames_off_clock', 'frames_dropped'),
+)
+"""Counters whose rise is a warning."""
 MOST_DRIFT_N = 0.05
 """Drift of the zero beyond which a tare is due [N]."""
 
@@ -50,13 +38,11 @@ class FeedStatus(NamedTuple):
     Attributes:
         estimator: Status of the estimator.
         rate_hz: Forces per second since the previous status.
-        values: All figures by name, for /diagnostics: those of the estimator and, over the latest
-            values, `step_p50_ms` and `step_p99_ms`, the computing time of a window with decoding;
-            `age_p50_ms` and `age_p99_ms`, the time from the arrival of a packet at the host to the
-            publication of its forces, NaN if the clocks cannot be compared. Counters: `late` and
-            `slow_windows`, forces after the deadline and windows that took longer to compute than
-            they last; `lost_packets`, `repeated_packets`, `publisher_restarts` by the sequence
-            numbers; `bad_messages` that could not be read.
+        values: All figures by name, for /diagnostics: those of the estimator, `age_p50_ms` and
+            `age_p99_ms`, the time from the arrival of a packet at the host to the publication of
+            its forces over the latest ones, NaN if the clocks cannot be compared, `late`, forces
+            after the deadline, `lost_packets` and `repeated_packets` by the sequence numbers, and
+            `bad_messages` that could not be read.
         problem: Why the latest message or frame since the previous status was refused; empty if
             none was.
         lately: Counters that rose since the previous status, a part of `WATCHED`.
@@ -86,36 +72,37 @@ class LiveFeed:
         self.estimator = estimator
         self.deadline_s = deadline_s
         self._sequence = SequenceCounter()
-        self._late = self._slow = self._bad_messages = 0
+        self._late = self._bad_messages = 0
         self._missing = False
         self._before = dict.fromkeys(WATCHED, 0)
         self._problem = ''
         self._rate = RateMeter()
-        self._durations, self._ages = RecentValues(), RecentValues()
+        self._ages = RecentValues()
 
     def packet(self, message: PacketMessage) -> list[Estimate]:
         """Return the forces of the windows that an event packet closes."""
-        started = time.perf_counter()
         repeated = self._sequence.repeated
         self._sequence.update(message.seq)
         if self._sequence.repeated > repeated:
             return []
         self._missing |= not self._sequence.continuous
+        size, wanted = (message.width, message.height), self.estimator.size
+        if size != wanted:
+            self.refuse(
+                f'events of a sensor of {size[0]} x {size[1]} pixels; the model reads'
+                f' {wanted[0]} x {wanted[1]}'
+            )
+            return []
         try:
-            packet = self._decoded(message)
-        except (CodecError, ImageError) as error:
+            packet = decode_message(message)
+        except CodecError as error:
             self.refuse(str(error))
             return []
         missing, self._missing = self._missing, False
         forces = self.estimator.push_events(
             packet.events, packet.complete_until, lost_before=missing
         )
-        if forces:
-            step_ms = (time.perf_counter() - started) * 1e3 / len(forces)
-            self._durations.add(step_ms)
-            self._rate.add(len(forces))
-            if step_ms * 1e3 > self.estimator.window_us:
-                self._slow += len(forces)
+        self._rate.add(len(forces))
         return forces
 
     def refuse(self, problem: str) -> None:
@@ -164,36 +151,23 @@ class LiveFeed:
         problem, self._problem = self._problem, ''
         values = asdict(estimator) | {
             'rate_hz': rate_hz,
-            'step_p50_ms': self._durations.quantile(0.5),
-            'step_p99_ms': self._durations.quantile(0.99),
             'age_p50_ms': self._ages.quantile(0.5),
             'age_p99_ms': self._ages.quantile(0.99),
             'late': self._late,
-            'slow_windows': self._slow,
             'lost_packets': self._sequence.lost,
             'repeated_packets': self._sequence.repeated,
-            'publisher_restarts': self._sequence.restarts,
             'bad_messages': self._bad_messages,
         }
         now, before = {name: int(values[name]) for name in WATCHED}, self._before
         self._before = now
         lately = {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
         if 'bad_frames' in lately:
-            problem = problem or self.estimator.frame_problem
+            problem = problem or estimator.problem
         return FeedStatus(estimator, rate_hz, values | {'problem': problem}, problem, lately)
 
     def close(self) -> None:
         """End the estimator's thread."""
         self.estimator.close()
-
-    def _decoded(self, message: PacketMessage) -> DecodedPacket:
-        size, wanted = (message.width, message.height), self.estimator.size
-        if size != wanted:
-            raise ImageError(
-                f'events of a sensor of {size[0]} x {size[1]} pixels; the model reads'
-                f' {wanted[0]} x {wanted[1]}'
-            )
-        return decode_message(message)
 
 
 def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
@@ -210,7 +184,7 @@ def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
         parts.append(estimator.reason)
     elif found.rate_hz == 0.0:
         parts.append('no force in the last second: no event packets arrive')
-    if estimator.ready and estimator.validity != Reason.TRUSTED.name:
+    if not estimator.reason and estimator.validity != Reason.TRUSTED.name:
         reason = Reason[estimator.validity]
         parts.append(f'the force is not valid: {reason.text}')
         level = WARN if reason is Reason.ZERO_UNKNOWN else ERROR
@@ -220,7 +194,7 @@ def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
             ' the sensor: release it and call ~/tare'
         )
     if found.lately:
-        rises = (f'{count} {WATCHED[name]}' for name, count in found.lately.items())
+        rises = (f'{count} {name.replace("_", " ")}' for name, count in found.lately.items())
         parts.append('since the last report: ' + ', '.join(rises))
     if found.problem and found.problem not in estimator.reason:
         parts.append(found.problem)

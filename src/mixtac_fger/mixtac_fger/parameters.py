@@ -12,7 +12,7 @@ from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.displacement import skin_scale
 from mixtac_fger.weights import DEFAULT_MODEL
 
-POLICIES: Final = ('withhold', 'hold', 'publish')
+POLICIES: Final = ('withhold', 'publish')
 """What becomes of a force that cannot be trusted; the first is the default."""
 DISPLACEMENT: Final = ('off', 'frames', 'windows')
 """When the displacement of the beads is published; the first is the default."""
@@ -58,8 +58,8 @@ class FgerParameters:
             It removes slow drift of lamp, temperature and gel, and also a contact below about 0.1 N
             that stays after a release.
         invalid_force: What becomes of a force that cannot be trusted: `withhold` publishes none,
-            `hold` publishes the latest trusted one, `publish` publishes it as it is. In each case
-            `force_quality` says that the force is not valid, and why.
+            `publish` publishes it as it is. In each case `force_quality` says that the force is not
+            valid, and why.
         stale_frame_age: Age of the latest frame above which the force is not valid. Without frames
             the force drifts.
         image_transport: Frames are received as `raw` from image_raw, or `compressed` from

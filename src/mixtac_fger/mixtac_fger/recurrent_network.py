@@ -98,23 +98,23 @@ class StepState(NamedTuple):
 
 def step_weights(tensors: Tensors) -> StepWeights:
     """Return copies of the recurrent path's weights in the layout of the compiled step."""
-    none = np.zeros((0, 0), np.float32)
     return StepWeights(
-        event_scale=copied(tensors['event.scale']),
-        event_hidden=copied(tensors['event.hidden.weight'].T),
-        event_hidden_bias=copied(tensors['event.hidden.bias']),
-        event_output=copied(tensors['event.output.weight'].T),
-        event_output_bias=copied(tensors['event.output.bias']),
-        gates_event=copied(tensors['gates_event.weight'].T),
-        gates_bias=copied(tensors['gates_event.bias']),
-        gates_force=copied(tensors['gates_force.weight'][:, 0]),
-        gates_hidden=copied(tensors['gates_hidden.weight'].T),
-        increment_hidden=copied(tensors['increment.0.weight'].T),
-        increment_hidden_bias=copied(tensors['increment.0.bias']),
-        increment_output=copied(tensors['increment.2.weight'][0]),
-        increment_output_bias=copied(tensors['increment.2.bias']),
-        context=copied(tensors.get('context.weight', none)),
+        copied(tensors['event.scale']),
+        *_layer(tensors, 'event.hidden'),
+        *_layer(tensors, 'event.output'),
+        *_layer(tensors, 'gates_event'),
+        copied(tensors['gates_force.weight'][:, 0]),
+        copied(tensors['gates_hidden.weight'].T),
+        *_layer(tensors, 'increment.0'),
+        copied(tensors['increment.2.weight'][0]),
+        copied(tensors['increment.2.bias']),
+        copied(tensors.get('context.weight', np.zeros((0, 0)))),
     )
+
+
+def _layer(tensors: Tensors, name: str) -> tuple[F32, F32]:
+    """Return copies of weights [inputs, outputs] and biases of a layer."""
+    return copied(tensors[f'{name}.weight'].T), copied(tensors[f'{name}.bias'])
 
 
 def head_weights(tensors: Tensors, first: str, second: str, scale: str = '') -> HeadWeights:
@@ -127,8 +127,7 @@ def head_weights(tensors: Tensors, first: str, second: str, scale: str = '') -> 
         scale: Name of the scale; empty for 1.
     """
     return HeadWeights(
-        copied(tensors[f'{first}.weight'].T),
-        copied(tensors[f'{first}.bias']),
+        *_layer(tensors, first),
         copied(tensors[f'{second}.weight'][0]),
         copied(tensors[f'{second}.bias']),
         copied(tensors[scale] if scale else np.ones(1)),
@@ -170,12 +169,6 @@ def _accumulate(inputs: F32, matrix: F32, out: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _copy(values: F32, out: F32) -> None:
-    for index in range(out.shape[0]):
-        out[index] = values[index]
-
-
-@njit(cache=True, nogil=True)
 def _relu(values: F32) -> None:
     for index in range(values.shape[0]):
         values[index] = max(values[index], np.float32(0.0))
@@ -199,14 +192,14 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     kinds = weights.event_scale.shape[0]
     for index in range(flat.shape[0]):
         state.scaled[index] = flat[index] / weights.event_scale[index % kinds]
-    _copy(weights.event_hidden_bias, state.event_hidden)
+    state.event_hidden[:] = weights.event_hidden_bias
     _accumulate(state.scaled, weights.event_hidden, state.event_hidden)
     _relu(state.event_hidden)
-    _copy(weights.event_output_bias, state.event_output)
+    state.event_output[:] = weights.event_output_bias
     _accumulate(state.event_hidden, weights.event_output, state.event_output)
     _relu(state.event_output)
     gates = state.gates
-    _copy(weights.gates_bias, gates)
+    gates[:] = weights.gates_bias
     _accumulate(state.event_output, weights.gates_event, gates)
     for index in range(gates.shape[0]):
         gates[index] += state.force[0] * weights.gates_force[index]
@@ -217,7 +210,7 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
         fresh, keep_out = np.tanh(gates[2 * size + index]), _sigmoid(gates[3 * size + index])
         state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
-    _copy(state.context, state.increment_hidden)
+    state.increment_hidden[:] = state.context
     _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
     if weights.increment_hidden.shape[0] > size:
         _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)

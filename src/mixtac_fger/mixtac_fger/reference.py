@@ -80,15 +80,17 @@ class Reference:
 
     Attributes:
         frames: Still frames that make a reference.
-        disturbances: How often motion restarted the collection of the first reference.
         assume_free: Whether the first still frames are assumed to be without contact.
+        array: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`; None so far.
+        kept: Whether it is stored or tared, and not made of the first frames of this stream.
+        number: Number that changes with each new reference, and when one is forgotten.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         self.frames = config.reference_frames
-        self.disturbances = 0
-        self.assume_free = False
-        self._known = False
+        self.assume_free = self.kept = False
+        self.array: F32 | None = None
+        self.number = 0
         self._shape, self._stillness = config.frame_shape, config.reference_stillness
         # What decides how a frame becomes a coarse contrast.
         self._preparation = np.array(
@@ -96,28 +98,11 @@ class Reference:
         )
         self._lock = threading.Lock()
         self._recent: deque[F32] = deque(maxlen=config.reference_frames)
-        self._array: F32 | None = None
-        self._number = 0
-
-    @property
-    def array(self) -> F32 | None:
-        """Coarse log contrast without contact, float32 `FgerConfig.frame_shape`; None so far."""
-        return self._array
 
     @property
     def known(self) -> bool:
         """Whether the reference is known to be without contact: stored, tared or assumed."""
-        return self._known or self.assume_free
-
-    @property
-    def kept(self) -> bool:
-        """Whether it is stored or tared, and not made of the first frames of this stream."""
-        return self._known
-
-    @property
-    def number(self) -> int:
-        """Number that changes with each new reference, and when one is forgotten."""
-        return self._number
+        return self.kept or self.assume_free
 
     @property
     def progress(self) -> int:
@@ -133,11 +118,10 @@ class Reference:
         with self._lock:
             if self._recent and not is_still(coarse - mean_contrast(self._recent), self._stillness):
                 self._recent.clear()
-                self.disturbances += self._array is None
             self._recent.append(coarse)
-            if self._array is None and len(self._recent) == self.frames:
+            if self.array is None and len(self._recent) == self.frames:
                 self._set(mean_contrast(self._recent))
-            return None if self._array is None else (self._array, self._number)
+            return None if self.array is None else (self.array, self.number)
 
     def renew(self) -> None:
         """Make the latest frames the reference.
@@ -152,7 +136,7 @@ class Reference:
                     remedy='leave the sensor untouched and try again',
                 )
             self._set(mean_contrast(self._recent))
-            self._known = True
+            self.kept = True
 
     def use(self, array: F32) -> None:
         """Use a stored reference from now on.
@@ -162,15 +146,15 @@ class Reference:
         """
         with self._lock:
             self._set(array)
-            self._known = True
+            self.kept = True
 
     def forget(self) -> None:
         """Start over: the next still frames become the reference."""
         with self._lock:
-            self._array, self._known = None, False
+            self.array, self.kept = None, False
             self._recent.clear()
             # Frames that were compared with it count as those of a replaced one.
-            self._number += 1
+            self.number += 1
 
     def save(self, path: Path) -> None:
         """Write the reference to a `.npz` file; an existing file is replaced.
@@ -178,12 +162,11 @@ class Reference:
         Raises:
             ReferenceFileError: There is no reference yet, or the file cannot be written.
         """
-        array = self._array
-        if array is None:
+        if self.array is None:
             raise ReferenceFileError('there is no reference yet', remedy='show still frames first')
         try:
             with replacing(path) as scratch, scratch.open('wb') as file:
-                np.savez(file, contrast=array, preparation=self._preparation)
+                np.savez(file, contrast=self.array, preparation=self._preparation)
         except FileError as error:
             raise ReferenceFileError(f'reference: {error.message}', remedy=error.remedy) from error
 
@@ -194,33 +177,25 @@ class Reference:
             ReferenceFileError: The file is missing or damaged, or its reference was prepared in
                 another way.
         """
-        contrast, preparation = _read(path)
-        if not np.array_equal(preparation, self._preparation):
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                contrast, preparation = np.asarray(file['contrast']), file['preparation']
+        except Exception as error:  # parsers raise whatever damage leads them to
             raise ReferenceFileError(
-                f'reference {path} was made for a model that prepares frames in another way',
-                remedy=_REMEDY,
-            )
-        if contrast.shape != self._shape or not np.isfinite(contrast).all():
+                f'{path} is not a reference file ({error})', remedy=_REMEDY
+            ) from error
+        fits = np.array_equal(preparation, self._preparation) and contrast.shape == self._shape
+        if not fits or not np.isfinite(contrast).all():
             raise ReferenceFileError(
-                f'reference {path} is not an image that this model can use', remedy=_REMEDY
+                f'reference {path} is not an image as this model prepares it', remedy=_REMEDY
             )
         array = np.ascontiguousarray(contrast, np.float32)
         self.use(array)
         return array
 
     def _set(self, array: F32) -> None:
-        self._array = array
-        self._number += 1
-
-
-def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return np.asarray(file['contrast']), np.asarray(file['preparation'])
-    except Exception as error:  # parsers raise whatever damage leads them to
-        raise ReferenceFileError(
-            f'{path} is not a reference file ({error})', remedy=_REMEDY
-        ) from error
+        self.array = array
+        self.number += 1
 
 
 def stored_reference(name: str, reference: Reference | None) -> F32 | None:

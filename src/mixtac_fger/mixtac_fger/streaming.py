@@ -24,6 +24,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,17 +34,16 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import decode, encode
 from mixtac_core.events.packets import Arrival, StreamTime
 from mixtac_core.events.windows import WindowSlicer
+from mixtac_core.node.images import ImageConversionError
+from mixtac_core.node.process import lower_priority
 from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
 from mixtac_fger.estimator import Estimate, EstimatorStatus
-from mixtac_fger.features import correction_lag
-from mixtac_fger.frame_worker import FrameWorker, seen
-from mixtac_fger.reference import Reference, TareError, Zero
+from mixtac_fger.features import ImageError, correction_lag
+from mixtac_fger.reference import TareError, Zero, stored_reference
 from mixtac_fger.validity import Reason, Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
@@ -70,13 +70,17 @@ LOWEST_FORCE = -0.5
 HIGHEST_FORCE = 10.0
 """Highest force of training, with a margin, before `force_scale` [N]."""
 NO_LIMIT_US = 2**62
+UNFETCHED_FRAMES = 16
+"""Frames in the frame thread, encoded or waiting; beyond that the oldest are dropped."""
+NICENESS = 5
+"""Niceness of the frame thread, so that the 500 Hz step wins on a busy CPU."""
 
 
 class ForceEstimator:
     """Processes a live stream and returns a force per window, in bounded memory.
 
-    `push_events`, `tare`, `drain` and `reset` must be called from one thread; `push_frame` may be
-    called from another thread if `background_frames` is set.
+    All methods must be called from one thread; `push_frame` may be called from another thread if
+    `background_frames` is set, and `status` from any.
 
     Args:
         estimator: Architecture with weights and state, not shared with others.
@@ -93,6 +97,10 @@ class ForceEstimator:
             the architecture does not detect contacts.
 
     Attributes:
+        size: Columns and rows of the sensor [px].
+        window_us: Length of a window [us].
+        reference: The no-contact reference; None if the architecture needs none.
+        frame: The latest frame that was used; None without one.
         contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next three.
@@ -124,57 +132,36 @@ class ForceEstimator:
         self.stale_frame_us = stale_frame_us
         self._estimator, reference = estimator, estimator.reference
         self.contact: ContactTracker | None = None
-        self._contact_wanted = True
-        if contact is not None:
-            self.use_contact(contact)
+        self.use_contact(contact)
         if reference is not None:
             reference.assume_free = assume_free
-        self._width_us = estimator.window_us
+        self.reference = reference
+        self.size = estimator.width, estimator.height
+        self.window_us = estimator.window_us
         self._saturation = SATURATION_PER_US * estimator.window_us
-        self._worker = FrameWorker(estimator) if background_frames else None
+        self._thread = (
+            ThreadPoolExecutor(1, 'fger_frames', lower_priority, (NICENESS,))
+            if background_frames
+            else None
+        )
+        self._jobs: deque[Future[EncodedFrame | None]] = deque(maxlen=UNFETCHED_FRAMES)
         self._slicer = WindowSlicer(estimator.window_us)
         self._time = StreamTime()
-        self._encoded: deque[EncodedFrame] = deque()
+        self._encoded: deque[EncodedFrame] = deque(maxlen=WAITING_FRAMES)
         self._between = False
-        self._frame: EncodedFrame | None = None
+        self.frame: EncodedFrame | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
         self._validity = Validity(estimator.width)
         self._reason_now = Reason.TRUSTED
         self._saturated = self._other_camera = False
         self._zero = None if reference is None else Zero(reference)
-        self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorStatus()
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows of the sensor [px]."""
-        return self._estimator.width, self._estimator.height
-
-    @property
-    def window_us(self) -> int:
-        """Length of a window [us]."""
-        return self._width_us
-
-    @property
-    def reference(self) -> Reference | None:
-        """The no-contact reference; None if the architecture needs none."""
-        return self._estimator.reference
-
-    @property
-    def frame(self) -> EncodedFrame | None:
-        """The latest frame that was used; None without one."""
-        return self._frame
-
-    @property
-    def frame_problem(self) -> str:
-        """Fault of the latest frame that the frame thread rejected; empty if there was none."""
-        return '' if self._worker is None else self._worker.problem
-
-    @property
     def frame_force(self) -> float:
         """Frames-only force of the latest frame [N]; 0 without one."""
-        return 0.0 if self._frame is None else self.force_scale * self._frame.force
+        return 0.0 if self.frame is None else self.force_scale * self.frame.force
 
     def push_frame(self, image: Image | Callable[[], Image], mid_us: int) -> None:
         """Add a frame as it arrives.
@@ -189,18 +176,22 @@ class ForceEstimator:
             ImageError: The image has another size (with `background_frames` it is counted in
                 `EstimatorStatus.bad_frames` instead).
         """
-        if self._worker is not None:
-            self._worker.push(image, mid_us)
+        if self._thread is None:
+            self._hold(self._encode(image, mid_us))
             return
-        encoded = self._estimator.encode(seen(image), mid_us)
-        if encoded is not None:
-            self._keep([encoded])
+        with contextlib.suppress(IndexError):
+            # A newer frame replaces the one that waits.
+            self._jobs[-1].cancel()
+        self._count.frames_dropped += len(self._jobs) == UNFETCHED_FRAMES
+        self._jobs.append(self._thread.submit(self._encode, image, mid_us))
+
+    def _encode(self, image: Image | Callable[[], Image], mid_us: int) -> EncodedFrame | None:
+        return self._estimator.encode(image() if callable(image) else image, mid_us)
 
     def drain(self) -> None:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
-        if self._worker is not None:
-            self._worker.wait()
-            self._fetch()
+        wait(self._jobs)
+        self._fetch()
 
     def push_events(
         self, events: Events, complete_until_us: int, *, lost_before: bool = False
@@ -221,7 +212,11 @@ class ForceEstimator:
         arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
         if arrival is Arrival.STARTS and known:
             self._fetch()
-            self._forget(hole=self._time.restarts == restarts)
+            self._forget()
+            if self._time.restarts == restarts:
+                self._validity.skip()
+            else:
+                self._validity.clear()
             self._slicer.reset()
             self._since_us = first_us
         closed = self._slicer.push(events, complete_until_us)
@@ -247,37 +242,35 @@ class ForceEstimator:
         self._validity.forget()
 
     def _renew_reference(self) -> None:
-        """Set the present force to zero; raises the errors of `tare`."""
         if self._zero is None:
             raise TareError(
                 'this model has no no-contact reference', remedy='subtract the force at rest'
             )
-        if self._frame is None or not self._recent:
+        if self.frame is None or not self._recent:
             raise TareError(f'there are no estimates yet: {self._reason()}')
         self._fetch()
-        latest = self._encoded[-1] if self._encoded else self._frame
+        latest = self._encoded[-1] if self._encoded else self.frame
         forces = [self.force_scale * each for each in self._recent]
         self._zero.renew(latest.picture, forces, self.contact_threshold_n)
         self._other_camera = False
         self._estimator.clear()
         self._recent.clear()
 
-    def use_reference(self, array: NDArray[np.float32]) -> None:
-        """Use a stored reference of the connected camera from now on.
+    def load_reference(self, name: str) -> None:
+        """Use the stored reference of the connected camera from now on, if there is one.
 
         Args:
-            array: Coarse log contrast without contact, of `Reference.array`.
+            name: As for `stored_reference`, whose errors it raises.
         """
-        if self._estimator.reference is not None:
-            self._estimator.reference.use(array)
-        self._other_camera = False
-        self._start_over()
+        if stored_reference(name, self.reference) is not None:
+            self._other_camera = False
+            self._start_over()
 
     def change_camera(self) -> None:
         """Forget the zero: another camera was connected."""
-        if self._estimator.reference is not None:
-            self._estimator.reference.forget()
-            self._estimator.reference.assume_free = False
+        if self.reference is not None:
+            self.reference.forget()
+            self.reference.assume_free = False
         self._start_over()
         self._validity.forget()
         self._estimator.change_sensor()
@@ -285,78 +278,54 @@ class ForceEstimator:
 
     def _start_over(self) -> None:
         self._forget()
+        self._validity.clear()
         if self._zero is not None:
             self._zero.restart()
 
-    def use_contact(self, settings: ContactSettings) -> None:
-        """Detect contacts with these settings from now on, if the architecture can."""
-        if self._estimator.finds_contact:
-            rows, columns = self._estimator.flow.shape[:2]
-            self.contact = ContactTracker(settings, (rows, columns))
-            self._estimator.find_contacts(settings.scale if self._contact_wanted else None)
-
-    def want_contact(self, wanted: bool) -> None:
-        """Switch the computation of contacts on, or off while nobody uses them."""
-        if wanted != self._contact_wanted:
-            self._contact_wanted = wanted
-            if self.contact is not None:
-                self.use_contact(self.contact.settings)
+    def use_contact(self, settings: ContactSettings | None) -> None:
+        """Find contacts with these settings from now on, if the architecture can; None ends it."""
+        before = None if self.contact is None else self.contact.settings
+        if self._estimator.finds_contact and settings != before:
+            grid = self._estimator.flow.shape[0], self._estimator.flow.shape[1]
+            self.contact = None if settings is None else ContactTracker(settings, grid)
+            self._estimator.find_contacts(None if settings is None else settings.scale)
 
     def close(self) -> None:
         """End the frame thread, if there is one."""
-        if self._worker is not None:
-            self._worker.close()
+        if self._thread is not None:
+            self._thread.shutdown(cancel_futures=True)
 
     def status(self) -> EstimatorStatus:
         """Return counters and the reason for having no output."""
-        worker, time, reason = self._worker, self._time, self._reason()
         return replace(
             self._count,
-            frames_dropped=self._count.frames_dropped + (worker.dropped if worker else 0),
-            bad_frames=worker.refused if worker else 0,
-            gaps=time.gaps,
-            skipped_windows=time.skipped_us // self._width_us,
             late_events=self._slicer.late_events,
-            hot_events=self._estimator.hot_events,
-            resets=self._count.resets + time.restarts,
-            ready=not reason,
-            reason=reason,
-            frame_age_us=self._frame_age_us(),
-            frame_force=self.frame_force,
-            deviation=-1.0 if self._deviation is None else self._deviation,
+            resets=self._count.resets + self._time.restarts,
+            reason=self._reason(),
             validity=self._reason_now.name,
             zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
         )
 
-    def _frame_age_us(self) -> int:
-        if self._frame is None or self._time.newest_us is None:
-            return -1
-        return self._time.newest_us - self._frame.mid_us
-
     def _reason(self) -> str:
-        reference, worker = self._estimator.reference, self._worker
-        if worker is not None and not worker.alive:
-            return 'the frame thread has ended: deactivate and activate the estimator'
-        problem = f'; {self.frame_problem}' if self.frame_problem else ''
+        reference, problem = self.reference, self._count.problem
         if reference is None or reference.array is not None:
-            if self._frame is None:
-                return f'waiting for a frame{problem}'
-            age_us = self._frame_age_us()
-            late = age_us > self.longest_without_frame_us
-            return f'no frame for {age_us / 1e6:.1f} s, so no force is given' if late else ''
-        progress = f'{reference.progress} of {reference.frames} still frames'
-        if reference.disturbances:
-            progress += f', restarted {reference.disturbances} times by motion'
-        return f'waiting for the no-contact reference: {progress}{problem}'
+            if self.frame is not None:
+                age_us = (self._time.newest_us or 0) - self.frame.mid_us
+                late = age_us > self.longest_without_frame_us
+                return f'no frame for {age_us / 1e6:.1f} s, so no force is given' if late else ''
+            waiting = 'a frame'
+        else:
+            still = f'{reference.progress} of {reference.frames} still frames'
+            waiting = f'the no-contact reference: {still}'
+        return f'waiting for {waiting}' + (f'; {problem}' if problem else '')
 
     def _window(self, end_us: int, events: Events) -> Estimate | None:
         count = self._count
-        count.windows += 1
         self._use_frames(end_us)
-        if self._frame is None:
+        if self.frame is None:
             return None
         raw, spread = self._estimator.step(events, end_us)
-        age_us = end_us - self._frame.mid_us
+        age_us = end_us - self.frame.mid_us
         force = self.force_scale * raw
         if spread is not None:
             late = LATE_N_PER_S * 1e-6 * max(age_us - LATE_FRAME_US, 0)
@@ -365,9 +334,9 @@ class ForceEstimator:
         if not math.isfinite(force if deviation is None else force + deviation):
             count.resets += 1
             self._forget()
+            self._validity.clear()
             return None
-        self._deviation = deviation
-        covered, complete = self._time.covered(end_us, self._width_us)
+        covered, complete = self._time.covered(end_us, self.window_us)
         self._validity.window(end_us, events, complete=complete)
         if not covered or age_us > self.longest_without_frame_us:
             count.withheld += 1
@@ -376,12 +345,9 @@ class ForceEstimator:
         self._saturated |= saturated
         self._recent.append(raw)
         reason = self._reason_now = self._distrust(raw, age_us)
-        count.estimates += 1
-        count.incomplete += not complete
         count.saturated += saturated
-        count.invalid += reason is not Reason.TRUSTED
         found = None
-        if self.contact is not None and self._contact_wanted:
+        if self.contact is not None:
             found = self.contact.window(end_us, force, self._estimator.flow)
         shear = self._estimator.shear
         if shear is not None:
@@ -390,8 +356,22 @@ class ForceEstimator:
 
     def _fetch(self) -> None:
         """Process the results of the frame thread."""
-        if self._worker is not None:
-            self._keep(self._worker.results())
+        while self._jobs and self._jobs[0].done():
+            job = self._jobs.popleft()
+            if job.cancelled():
+                self._count.frames_dropped += 1
+                continue
+            try:
+                self._hold(job.result())
+            except (ImageError, ImageConversionError) as error:
+                self._count.bad_frames += 1
+                self._count.problem = str(error)
+
+    def _hold(self, frame: EncodedFrame | None) -> None:
+        """Let an encoded frame wait for its events; None is a frame of an incomplete reference."""
+        if frame is not None:
+            self._count.frames_dropped += len(self._encoded) == WAITING_FRAMES
+            self._encoded.append(frame)
 
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
@@ -399,17 +379,9 @@ class ForceEstimator:
             # Its events are there, or never will be.
             self._apply(self._encoded.popleft(), end_us)
 
-    def _check(self, frame: EncodedFrame) -> None:
-        """Check a frame, and update the zero with it."""
-        picture = frame.picture
-        self._validity.frame(frame.mid_us, frame.contrast, picture)
-        if picture is not None and self._zero is not None:
-            light = abs(self.force_scale * frame.force) < self.contact_threshold_n
-            self._zero.frame(picture, frame.force, light=light)
-
     def _distrust(self, raw: float, age_us: int) -> Reason:
         """Return why a force cannot be trusted, before `force_scale` [N]."""
-        reference = self._estimator.reference
+        reference = self.reference
         if self._other_camera:
             return Reason.OTHER_CAMERA
         if reference is not None and not reference.known:
@@ -423,36 +395,33 @@ class ForceEstimator:
             return Reason.SATURATED
         return Reason.STALE if age_us > self.stale_frame_us else Reason.TRUSTED
 
-    def _keep(self, frames: list[EncodedFrame]) -> None:
-        self._encoded.extend(frames)
-        while len(self._encoded) > WAITING_FRAMES:
-            self._encoded.popleft()
-            self._count.frames_dropped += 1
-
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
         behind_us = end_us - frame.mid_us
         if not -FRAME_AHEAD_US <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
-        reference = self._estimator.reference
+        reference = self.reference
         replaced = reference is not None and frame.reference != reference.number
-        earlier = self._frame is not None and frame.mid_us <= self._frame.mid_us
+        earlier = self.frame is not None and frame.mid_us <= self.frame.mid_us
         if frame.mid_us < self._since_us or replaced or earlier:
             # Exposed before events were lost, or before the frame before; or compared with a
             # reference that was replaced.
             self._count.frames_dropped += 1
             return
-        kept = reference is not None and reference.kept
-        self._check(frame)
-        if self._frame is None and (kept or self._since_us > -NO_LIMIT_US):
+        kept, picture = reference is not None and reference.kept, frame.picture
+        self._validity.frame(frame.mid_us, frame.contrast, picture)
+        if picture is not None and self._zero is not None:
+            light = abs(self.force_scale * frame.force) < self.contact_threshold_n
+            self._zero.frame(picture, frame.force, light=light)
+        if self.frame is None and (kept or self._since_us > -NO_LIMIT_US):
             # Something may touch the sensor already.
             self._estimator.start_at(frame)
         else:
-            width = self._width_us
+            width = self.window_us
             lag = correction_lag(end_us - width, frame.mid_us, width)
             self._estimator.correct(frame, lag)
-        self._frame = frame
+        self.frame = frame
         if self.contact is not None and frame.touch is not None:
             self.contact.frame(frame.mid_us, frame.touch)
         self._saturated = False
@@ -462,22 +431,17 @@ class ForceEstimator:
                 self._renew_reference()
                 # The sensor is the same, and so are its usual rates and noise.
                 self._validity.clear()
-                self._count.tares += 1
 
-    def _forget(self, *, hole: bool = False) -> None:
+    def _forget(self) -> None:
+        """Forget the stream, but not what `_validity` knows of it."""
         self._estimator.clear()
-        if hole:
-            self._validity.skip()
-        else:
-            self._validity.clear()
         self._recent.clear()
         self._encoded.clear()
-        self._frame = None
+        self.frame = None
         if self.contact is not None:
             self.contact.clear()
 
 
-WARM_UP_START_US = 1_000_000
 WARM_UP_STEP_US = 10_000
 
 
@@ -490,18 +454,18 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
         The estimates; if there are none, a part was not run.
     """
     feed, found = ForceEstimator(estimator, contact=ContactSettings()), []
-    size = feed.size
-    random, reference = np.random.default_rng(0), estimator.reference
-    for index in range(2 * (1 if reference is None else reference.frames)):
-        start_us = WARM_UP_START_US + WARM_UP_STEP_US * index
-        image = random.integers(99, 102, size[::-1]).astype(np.uint8)
-        feed.push_frame(image.astype(np.uint16) if index % 2 else image, start_us)
+    (width, height), random = feed.size, np.random.default_rng(0)
+    frames = 1 if estimator.reference is None else estimator.reference.frames
+    for start_us in range(0, 2 * frames * WARM_UP_STEP_US, WARM_UP_STEP_US):
+        image = random.integers(99, 102, (height, width)).astype(np.uint8)
+        wide = start_us % (2 * WARM_UP_STEP_US)
+        feed.push_frame(image.astype(np.uint16) if wide else image, start_us)
         t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
         zeros = np.zeros(len(t_us), np.uint16)
         events = Events(t_us, zeros, zeros, t_us % 200 == 0)
         packet = encode(events, complete_until=start_us + WARM_UP_STEP_US)
         # Read-only bytes, as the middleware gives them.
         octets, base = packet.payload.tobytes(), packet.time_base
-        decoded = decode(octets, packet.encoding, base, width=size[0], height=size[1])
+        decoded = decode(octets, packet.encoding, base, width=width, height=height)
         found += feed.push_events(decoded.events, decoded.complete_until)
     return found

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from mixtac_core.events.errors import MixtacError
@@ -156,10 +157,10 @@ def read_model(path: Path) -> Model:
         raise ModelError(f'{path} is not a Mixtac weight file', remedy=MODEL_REMEDY)
     try:
         config, training, metrics = (
-            _mapping(header[name]) for name in ('config', 'training', 'metrics')
+            dict(json.loads(header[name])) for name in ('config', 'training', 'metrics')
         )
         version = int(header['version'])
-    except (KeyError, ValueError, RecursionError) as error:
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
         raise ModelError(
             f'{path}, of architecture {header["architecture"]!r}, has a header that cannot be used '
             f'({error})',
@@ -171,13 +172,6 @@ def read_model(path: Path) -> Model:
                 f'{path}: tensor {name} holds numbers that are not finite', remedy=MODEL_REMEDY
             )
     return Model(header['architecture'], version, config, ModelCard(training, metrics), tensors)
-
-
-def _mapping(text: str) -> dict[str, Any]:
-    value = json.loads(text)
-    if not isinstance(value, dict):
-        raise ValueError(f'{text} is not a mapping')  # noqa: TRY004 - of a file, not of a call
-    return value
 
 
 _SIMULATED = (
@@ -198,38 +192,12 @@ def save_model(path: Path, model: Model) -> None:
 
 
 def model_card(name: str, card: ModelCard) -> str:
-    """Return the card as Markdown."""
-    training = dict(card.training)
-    settings = training.pop('settings', {})
-    simulated = str(training.get('data', '')).startswith('simulated')
-    parts = [f'# Model card: `{name}`', '', *([_SIMULATED, ''] if simulated else [])]
-    parts += ['## Training', '', *_pairs(training), '', '## Settings', '', *_pairs(settings)]
-    for title, figures in card.metrics.items():
-        parts += ['', f'## Figures: {title.replace("_", " ")}', '', *_table(figures)]
-    return '\n'.join(parts) + '\n'
-
-
-def _pairs(values: dict[str, Any]) -> list[str]:
-    rows = [f'| {key.replace("_", " ")} | {_text(value)} |' for key, value in values.items()]
-    return ['| what | value |', '|---|---|', *rows]
-
-
-def _table(figures: dict[str, Any]) -> list[str]:
-    rows = {key: row for key, row in figures.items() if isinstance(row, dict)}
-    columns = list(dict.fromkeys(name for row in rows.values() for name in row))
-    if not columns:
-        return _pairs(figures)
-    head = ' | '.join(['profile', *(name.replace('_', ' ') for name in columns)])
-    lines = [f'| {head} |', '|---' + '|---:' * len(columns) + '|']
-    for key, row in rows.items():
-        cells = ' | '.join([key, *(_text(row.get(name, '-')) for name in columns)])
-        lines.append(f'| {cells} |')
-    return lines
-
-
-def _text(value: Any) -> str:  # noqa: ANN401
-    if isinstance(value, dict):
-        return '; '.join(f'{k}: {_text(v)}' for k, v in value.items()) or 'none'
-    if isinstance(value, (list, tuple)):
-        return ', '.join(map(str, value)) or 'none'
-    return str(value)
+    """Return the card as Markdown, with a block of YAML per section."""
+    parts = [f'# Model card: `{name}`']
+    if str(card.training.get('data', '')).startswith('simulated'):
+        parts.append(_SIMULATED)
+    for title, content in {'training': card.training, **card.metrics}.items():
+        plain = json.loads(json.dumps(content))
+        text = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=110)
+        parts.append(f'## {title.replace("_", " ").capitalize()}\n\n```yaml\n{text}```')
+    return '\n\n'.join(parts) + '\n'

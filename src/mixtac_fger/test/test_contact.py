@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.contact import ContactFitter, contact_shape
-from mixtac_fger.contact_tracking import ContactSettings, ContactTracker, FlowCarrier, Touch
+from mixtac_fger.contact import Touch, TouchMeter, contact_shape
+from mixtac_fger.contact_tracking import ContactSettings, ContactTracker, FlowCarrier
 from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale, field_places
 
 CONFIG = FgerConfig()
@@ -47,7 +47,7 @@ def pressed(place, widths=(3.0, 3.0), angle=0.0, strength=0.4, shear=(0.0, 0.0),
 @FEW
 @given(x=ALONG, y=ALONG, shear=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)))
 def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
-    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((x, y), shear=shear))
+    fit = TouchMeter(CONFIG, SCALE).fit(pressed((x, y), shear=shear))
     found = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
     assert fit.seen
     assert (found.x_mm, found.y_mm) == pytest.approx((x, y), abs=0.02)
@@ -58,43 +58,33 @@ def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
 def test_the_place_of_a_pulled_contact_is_less_certain():
     deviations = []
     for pull in (0.0, 0.05, 0.1):
-        fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((1.0, 2.0), shear=(pull, 0.0)))
+        fit = TouchMeter(CONFIG, SCALE).fit(pressed((1.0, 2.0), shear=(pull, 0.0)))
         shape = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
         deviations.append(shape.deviation_mm)
     assert deviations[0] < deviations[1] < deviations[2]
 
 
-def test_a_picture_without_texture_shows_no_contact():
-    """As behind a lens cap, or without a lamp."""
+def test_noise_and_a_picture_without_texture_show_no_contact():
+    noise = pressed((0.0, 0.0), strength=0.0, noise=0.01)
+    assert not TouchMeter(CONFIG, SCALE).fit(noise).seen
+    # As behind a lens cap, or without a lamp.
     nothing = DisplacementField(
         np.zeros((2, ROWS, COLUMNS), np.float32),
         np.zeros((3, ROWS, COLUMNS), np.float32),
         *(0.0, 8, 4),
     )
-    fit = ContactFitter(SIZE, SCALE, GRID).fit(nothing)
+    fit = TouchMeter(CONFIG, SCALE).fit(nothing)
     assert not fit.seen
-    assert fit.gains is not None
     assert np.isfinite(fit.gains).all()
 
 
 @FEW
 @given(angle=st.floats(-1.5, 1.5))
 def test_an_oblong_contact_lies_where_its_longer_axis_points(angle):
-    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((1.0, -1.0), widths=(4.0, 2.5), angle=angle))
+    fit = TouchMeter(CONFIG, SCALE).fit(pressed((1.0, -1.0), widths=(4.0, 2.5), angle=angle))
     found = contact_shape(fit.parameters, fit.covariance, SCALE, 0.0)
     assert math.cos(2.0 * (found.angle - angle)) > 0.99
     assert found.major_mm / found.minor_mm == pytest.approx(1.6, rel=0.1)
-
-
-def test_noise_alone_is_no_contact():
-    fit = ContactFitter(SIZE, SCALE, GRID).fit(pressed((0.0, 0.0), strength=0.0, noise=0.01))
-    assert not fit.seen
-
-
-def test_a_contact_of_another_field_is_followed():
-    fitter = ContactFitter(SIZE, SCALE, GRID)
-    for x in (0.0, 0.5, 5.0):
-        assert fitter.fit(pressed((x, 0.0))).parameters[3] == pytest.approx(x, abs=0.02)
 
 
 def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
@@ -122,7 +112,7 @@ STILL = np.zeros((*GRID, 2), np.float32)
 
 def touch_at(x, y):
     field = pressed((x, y))
-    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field))
+    return Touch(field, TouchMeter(CONFIG, SCALE).fit(field))
 
 
 def cell_flow(before, after, threshold):
@@ -147,15 +137,12 @@ def test_events_carry_place_and_displacement_between_frames():
     assert still.shape.x_mm == pytest.approx(0.0, abs=0.02)
     assert moved.shape.x_mm == pytest.approx(0.4, abs=0.15)
     assert moved.shape.y_mm == pytest.approx(-0.2, abs=0.1)
-
-
-def test_events_carry_the_displacement_between_frames():
-    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
-    before, after = touch_at(0.0, 0.0), pressed((0.0, 0.0), strength=0.8)
+    tracker.clear()
     tracker.frame(10_000, before)
-    tracker.window(12_000, 0.5, cell_flow(before.field, after, 0.25))
-    error = np.abs(tracker.moved() - after.moved).mean()
-    assert error < 0.5 * np.abs(before.field.moved - after.moved).mean()
+    deeper = pressed((0.0, 0.0), strength=0.8)
+    tracker.window(12_000, 0.5, cell_flow(before.field, deeper, 0.25))
+    error = np.abs(tracker.moved() - deeper.moved).mean()
+    assert error < 0.5 * np.abs(before.field.moved - deeper.moved).mean()
 
 
 def test_frames_tell_the_size_of_a_contrast_threshold():
@@ -183,34 +170,22 @@ def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
     assert not touching(tracker, [0.015] * 8, 246_000)[-1]
 
 
-def test_a_light_force_has_to_last():
+def test_a_light_force_has_to_last_and_to_show_in_the_picture():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     assert not any(touching(tracker, [0.0] + [0.035] * 3 + [0.0] * 5))
     assert touching(tracker, [0.035] * 20, 40_000)[-1]
-
-
-def test_a_light_force_has_to_show_in_the_picture():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
+    tracker.clear()
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
-    tracker.frame(1000, Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free)))
+    tracker.frame(1000, Touch(free, TouchMeter(CONFIG, SCALE).fit(free)))
     # Noise moved the estimate: what frames show stays as it was.
     assert not any(touching(tracker, [0.0] + [0.06] * 40, 2000))
     tracker.frame(84_000, touch_at(0.0, 0.0))
     assert touching(tracker, [0.06], 86_000) == [True]
 
 
-def test_a_light_contact_from_the_start_on_is_seen():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
-    for start_us in (0, 1_000_000):
-        tracker.frame(start_us + 1000, touch_at(0.0, 0.0))
-        assert touching(tracker, [0.06] * 20, start_us + 2000)[-1]
-        tracker.clear()
-
-
 def test_noise_leaves_the_size_of_a_contrast_threshold_alone():
     random, carrier = np.random.default_rng(0), FlowCarrier(GRID)
-    before = carrier.threshold
-    free = pressed((0.0, 0.0), strength=0.0, noise=0.001)
+    before, free = carrier.threshold, pressed((0.0, 0.0), strength=0.0, noise=0.001)
     for index in range(500):
         carrier.window(4000 * index + 2000, random.normal(0.0, 0.01, (*GRID, 2)))
         carrier.frame(carrier.until(4000 * (index + 1)), free)
@@ -236,7 +211,6 @@ def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_cont
 
 
 def test_an_estimate_that_comes_back_from_below_zero_is_no_new_contact():
-    """As after a bounce, whose events do not add up to nothing."""
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     bounce = [0.0, 1.0, 2.0, 1.0, -0.3, -0.2, -0.1, *[0.0] * 20]
     assert touching(tracker, bounce) == [False, *[True] * 3, *[False] * 23]
@@ -246,7 +220,7 @@ def test_an_estimate_that_comes_back_from_below_zero_is_no_new_contact():
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
-    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
+    unseen = Touch(free, TouchMeter(CONFIG, SCALE).fit(free))
     assert tracker.window(2000, 0.2, STILL).touching
     # Exposed too early to tell.
     tracker.frame(3000, unseen)

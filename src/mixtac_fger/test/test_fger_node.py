@@ -160,13 +160,13 @@ def test_the_numbers_of_the_reasons_are_those_of_the_message():
 
 def check_quality(received, quality) -> None:
     forces = {stamp_to_us(m.header.stamp): m.wrench.force.z for m in received}
-    assert len(quality) == len(received)
     for message in quality:
-        assert message.force == forces[stamp_to_us(message.header.stamp)]
+        assert message.force == forces.pop(stamp_to_us(message.header.stamp))
         assert message.deviation > 0
         assert 0 <= message.frame_age < 10
         assert not message.saturated
         assert message.valid == (message.reason == ForceQuality.TRUSTED)
+    assert not forces
 
 
 def tare_with_still_frames(estimator, trial) -> None:
@@ -185,14 +185,9 @@ def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, 
     refused = estimator.tare()
     assert not refused.success
     assert 'not active' in refused.message
-    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
-        True,
-        State.PRIMARY_STATE_INACTIVE,
-    )
-    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (
-        True,
-        State.PRIMARY_STATE_ACTIVE,
-    )
+    inactive, active = State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (True, inactive)
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (True, active)
     estimator.graph.listen(DiagnosticArray, '/diagnostics', 10)
     contacts = estimator.graph.listen(Contact, '/mixtac/contact', QOS)
     clouds = estimator.graph.listen(PointCloud2, '/mixtac/displacement/points', QOS)
@@ -207,10 +202,7 @@ def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, 
     assert (stamps % 2000 == 0).all()
     assert (np.diff(stamps) == 2000).all()
     # A transition that is not possible now is refused, and the node goes on.
-    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
-        False,
-        State.PRIMARY_STATE_ACTIVE,
-    )
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (False, active)
     assert stamps[-1] - ORIGIN_US == trial.t_us[-1] - 2000
     # The first frames are the reference: more than half of the windows come after them.
     assert len(stamps) * 2000 > trial.t_us[-1] / 2
@@ -218,14 +210,8 @@ def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, 
     assert estimator.graph.diagnostics(NAME)['message']
     tare_with_still_frames(estimator, trial)
     assert Reference(config).load(tmp_path / 'reference.npz').shape == config.frame_shape
-    assert estimator.transition(Transition.TRANSITION_DEACTIVATE) == (
-        True,
-        State.PRIMARY_STATE_INACTIVE,
-    )
-    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (
-        True,
-        State.PRIMARY_STATE_ACTIVE,
-    )
+    assert estimator.transition(Transition.TRANSITION_DEACTIVATE) == (True, inactive)
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (True, active)
 
 
 def test_a_camera_brings_its_kept_reference_or_none(node_under_test, tmp_path, model, monkeypatch):
@@ -260,25 +246,19 @@ def test_autostart_activates_once_and_never_again(node_under_test, tmp_path, mod
     for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         assert estimator.transition(number)[0]
     # Somebody who configures it by hand may not want it active.
-    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
-        True,
-        State.PRIMARY_STATE_INACTIVE,
-    )
+    inactive = State.PRIMARY_STATE_INACTIVE
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (True, inactive)
     end_s = time.monotonic() + 1.0
     node_under_test.spin_until(lambda: time.monotonic() > end_s)
-    assert estimator.state() == State.PRIMARY_STATE_INACTIVE
+    assert estimator.state() == inactive
 
 
 def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):
     def set_to(**values: object) -> str:
-        request = SetParameters.Request(
-            parameters=[
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
-        )
-        (result,) = estimator.graph.call(
-            SetParameters, '/mixtac/fger/set_parameters', request
-        ).results
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
+        answer = estimator.graph.call(SetParameters, '/mixtac/fger/set_parameters', request)
+        (result,) = answer.results
         return '' if result.successful else result.reason
 
     def field_offered() -> bool:

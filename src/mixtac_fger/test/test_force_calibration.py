@@ -21,7 +21,6 @@ from mixtac_fger.force_calibration import (
     load_of,
     reference_loads,
     sideways_gain,
-    steady_stretches,
 )
 
 RATE_HZ = 500
@@ -38,26 +37,15 @@ def procedure(
     tremor=0.01,
     creep=0.008,
     rocking=0.0,
-    rocking_hz=2.5,
     walk=0.0,
     staircase=False,
     withheld=0.0,
 ):
-    """Return times and estimates of a sensor that reads 1 / gain of each load.
+    """Return times and estimates of a sensor that reads 1 / gain of each load in grams.
 
-    Args:
-        grams: Loads in their order; the sensor is released in between.
-        gain: True force over estimate.
-        seed: Of all that is random.
-        hold_s: Time of each load.
-        noise: Standard deviation of each window [N].
-        tremor: Amplitude of a hand at 8 Hz, as a part of the load.
-        creep: Slope, as a part of the load per second.
-        rocking: Amplitude of a load that rocks, as a part of it.
-        rocking_hz: Its frequency.
-        walk: The zero after the first load [N].
-        staircase: Do not release between loads.
-        withheld: Share of the time without a force, in pieces of 0.1 s.
+    Noise is in newtons per window. Of the load: a hand's tremor at 8 Hz, the creep per second, and
+    the rocking. `walk` is the zero after the first load [N], `withheld` the share of the time
+    without a force.
     """
     rng = np.random.default_rng(seed)
     rest_s = 2.2
@@ -79,7 +67,7 @@ def procedure(
     for begin, end, force in spans:
         on = (t_s > begin) & (t_s < end)
         force_n[on] += tremor * force * np.sin(2 * np.pi * 8.0 * t_s[on] + rng.uniform(0, 6))
-        force_n[on] += rocking * force * np.sin(2 * np.pi * rocking_hz * t_s[on])
+        force_n[on] += rocking * force * np.sin(2 * np.pi * 2.5 * t_s[on])
     slow = rng.normal(0.0, noise, len(t_s) // 20 + 1).repeat(20)[: len(t_s)]
     force_n += rng.normal(0.0, noise, len(t_s)) + 0.5 * slow
     kept = (rng.random(len(t_s) // 50 + 1) >= withheld).repeat(50)[: len(t_s)]
@@ -124,19 +112,10 @@ def test_plateaus_lie_within_the_loads_and_describe_them():
     t_s, force_n = procedure((50.0,), gain=1.0, creep=0.02, noise=0.002)
     (plateau,) = find_plateaus(t_s, force_n, 1)
     known, span = 0.05 * GRAVITY, plateau.span
-    inside = (t_s >= span.start_s) & (t_s <= span.end_s)
-    assert force_n[inside].min() > 0.95 * known
+    assert force_n[(t_s >= span.start_s) & (t_s <= span.end_s)].min() > 0.95 * known
     assert span.creep_n_per_s == pytest.approx(0.02 * known, rel=0.2)
     assert plateau.size_n == pytest.approx(known, rel=0.08)
     assert plateau.left_n < 0.01
-
-
-def test_steady_stretches_end_at_long_gaps_and_need_some_time():
-    t_s, force_n = procedure((50.0,), hold_s=6.0)
-    hole = (t_s < 5.0) | (t_s > 5.5)
-    assert len(steady_stretches(t_s[hole], force_n[hole])) > len(steady_stretches(t_s, force_n))
-    for size in (0, 1, 2, 100):
-        assert steady_stretches(t_s[:size], force_n[:size]) == []
 
 
 @pytest.mark.parametrize(
@@ -145,16 +124,12 @@ def test_steady_stretches_end_at_long_gaps_and_need_some_time():
         ({'grams': (20.0, 75.0, 100.0), 'known': GRAMS}, 'loads'),
         ({'grams': (20.0, 100.0, 50.0), 'known': GRAMS}, 'loads'),
         ({'known': (0.02, 0.05, 0.1)}, 'loads'),
-        ({'known': (196.0, 490.0, 980.0)}, 'loads'),
         ({'creep': 0.2}, 'unsteady'),
         ({'rocking': 0.15}, 'unsteady'),
-        ({'rocking': 0.3, 'rocking_hz': 0.8}, 'unsteady'),
         ({'grams': (0.5, 0.5, 0.5), 'known': GRAMS}, 'contact'),
         ({'grams': (20.0, 50.0), 'known': GRAMS}, 'contact'),
         ({'walk': 0.035}, 'zero'),
-        ({'walk': 0.2}, 'zero'),
         ({'grams': (50.0,)}, 'few'),
-        ({'grams': (50.0, 50.0)}, 'few'),
         ({'grams': (20.0, 50.0, 100.0), 'known': (20.0, 50.0)}, 'few'),
     ],
 )
@@ -180,9 +155,6 @@ def test_a_reference_sensor_gives_the_loads():
 
 def test_the_stated_uncertainty_of_the_loads_widens_that_of_the_gain():
     assert calibrated(sd_g=5.0).gain_sd > calibrated(sd_g=0.1).gain_sd
-
-
-def test_one_load_that_is_measured_twice_is_one():
     with pytest.raises(ForceCalibrationError):
         check_loads([Load(0.4903, 0.01), Load(0.4905, 0.01)])
 
@@ -196,14 +168,10 @@ def test_a_clock_that_jumps_is_refused(jump_s):
 
 
 def pulled(grams, gain=1.4, *, left=0.0, swing=0.0, seed=1):
-    """Return times, normal force, and sideways force, complex, of a contact with pulls [N].
+    """Return times, normal and sideways force (complex) of a contact with pulls [N].
 
-    Args:
-        grams: Pulls; each goes another way than the one before.
-        gain: Known force over estimate.
-        left: Part of each pull that stays.
-        swing: Amplitude at 3 Hz under a pull, as a part of it.
-        seed: Of the noise.
+    Each pull goes another way than the one before. `left` is the part of each that stays, `swing`
+    the amplitude at 3 Hz under it.
     """
     second = np.arange(RATE_HZ) / RATE_HZ
     two = np.concatenate([second, second + 1.0])
@@ -246,7 +214,6 @@ def test_pulls_in_any_direction_give_the_gain_of_the_sideways_force(grams, gain)
         ({'known': (20.0, 20.0, 20.0)}, 'contact'),
         ({'known': (20.0,)}, 'few'),
         ({'known': (20.0, 60.0)}, 'loads'),
-        ({'known': (0.02, 0.02)}, 'loads'),
     ],
 )
 def test_spoiled_pulls_are_refused(conditions, reason):

@@ -1,28 +1,103 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Sideways force and torsion: what frames show, what events add, gains; nothing else moves."""
+"""Moments of a displacement; sideways force and torsion by frames, events and gains."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toy_sensor import random_model
+from toy_sensor import estimates, random_model
 
-from mixtac_fger.config import (
-    MOMENTS,
-    FgerConfig,
-    ModelError,
-)
+from mixtac_fger.config import MOMENTS, FgerConfig, ModelError
 from mixtac_fger.estimator import Estimate, fill_quality
 from mixtac_fger.features import bin_cells
-from mixtac_fger.fger_net import FgerEstimator, with_gain, with_sideways_gain
-from mixtac_fger.moments import moments
-from mixtac_fger.shear import PER_EVENT, Shear, ShearHead
-from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.fger_net import with_gain, with_sideways_gain
+from mixtac_fger.shear import PER_EVENT, Shear, ShearHead, contact_of, moments, moments_of_cells
+from mixtac_fger.weights import Model, ModelCard, read_model, save_model
 
 CONFIG = FgerConfig(shear=True)
+ROWS, COLUMNS = CONFIG.frame_shape
+MIDDLE = 0.5 * (COLUMNS - 1), 0.5 * (ROWS - 1)
+
+
+def displacement(place, press=0.0, pull=(0.0, 0.0), turn=0.0, width=8.0):
+    """Return the displacement [2, rows, columns] under a contact, y downwards [bins]."""
+    y, x = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    x, y = x - place[0], y - place[1]
+    near = np.exp(-(x**2 + y**2) / (2.0 * width**2))
+    # Skin moves away from a press; a turn from x to y as the contact frame has them, y upwards.
+    moved = press * near * np.stack([x, y]) + near * np.reshape(pull, (2, 1, 1))
+    return (moved + turn * near * np.stack([y, -x])).astype(np.float32)
+
+
+def found(*where, **load):
+    """Return press, pull, lean and turning of a displacement."""
+    out = np.zeros(MOMENTS, np.float32)
+    moments(displacement(*where, **load), out)
+    return out[0], out[1:3], out[3:5], out[5:]
+
+
+def test_the_turning_is_told_about_a_contact_anywhere_under_any_pull():
+    plain = found((42.0, 32.0), press=0.1, turn=0.05)[3]
+    assert (plain > 0.0).all()
+    other = found((42.0, 32.0), press=0.1, turn=-0.1)[3]
+    np.testing.assert_allclose(other, -2.0 * plain, rtol=1e-3)
+    for place in ((42.0, 32.0), (36.0, 35.5)):
+        for pull in ((1.0, 0.0), (-0.4, 0.9)):
+            turning = found(place, press=0.1, pull=pull, turn=0.05)[3]
+            # A pull moves the mean along itself, out of the middle of the narrowest sum.
+            np.testing.assert_allclose(turning[:3], plain[:3], rtol=0.15)
+
+
+def test_a_press_and_a_pull_turn_nothing_and_nothing_has_no_moment():
+    turned = found((42.0, 32.0), press=0.1, turn=0.05)[3]
+    for pull in ((0.0, 0.0), (1.0, 0.0), (-0.4, 0.9)):
+        turning = found((40.0, 30.0), press=0.1, pull=pull)[3]
+        assert np.abs(turning[:3] / turned[:3]).max() < 0.03
+    assert all(not np.any(each) for each in found((40.0, 30.0)))
+
+
+def test_a_press_is_told_anywhere_under_any_load_across():
+    plain = found(MIDDLE, press=0.1)[0]
+    assert plain > 0.0
+    for load in ({}, {'turn': 0.05}, {'pull': (0.3, -0.2)}):
+        for place in (MIDDLE, (36.0, 35.5)):
+            np.testing.assert_allclose(found(place, press=0.1, **load)[0], plain, rtol=0.05)
+    np.testing.assert_allclose(found(MIDDLE, press=0.2)[0], 2.0 * plain, rtol=1e-3)
+
+
+def test_a_pull_is_told_in_axes_of_the_contact_frame():
+    for place in (MIDDLE, (36.0, 35.5)):
+        pull = found(place, press=0.1, pull=(0.3, -0.2))[1]
+        still = found(place, press=0.1)
+        change = pull - still[1]
+        assert change[0] > 0.0  # to the right
+        assert change[1] > 0.0  # upwards, as y grows downwards in the image
+        np.testing.assert_allclose(change[0] / change[1], 1.5, rtol=0.1)
+        away = np.array([place[0] - MIDDLE[0], MIDDLE[1] - place[1]]) / 21.0
+        np.testing.assert_allclose(still[2], still[0] * away, atol=1e-3)
+
+
+@pytest.mark.parametrize('place', [MIDDLE, (36.0, 35.5), (55.0, 24.0)])
+def test_cells_of_a_grid_add_up_to_the_moments(place):
+    shape, grid = (ROWS, COLUMNS), (13, 17)
+    moved = displacement(place, press=0.1, pull=(0.3, -0.2), turn=0.05, width=12.0)
+    whole = np.zeros(MOMENTS, np.float32)
+    moments(moved, whole)
+    contact = contact_of(whole, shape)
+    np.testing.assert_allclose(contact, place, atol=2.0)
+    # Cells whose sides are whole bins: 5 by 5 of 65 by 85.
+    means = moved[:, :, :85].reshape(2, 13, 5, 17, 5).mean(axis=(2, 4)).transpose(1, 2, 0)
+    per_cell = np.empty((MOMENTS, *grid, 2))
+    moments_of_cells(contact, (ROWS, 85), per_cell)
+    added = np.tensordot(per_cell, means, 3)
+    # The lean is the press times the place; both are of the one grid.
+    np.testing.assert_allclose(added[:3], whole[:3], rtol=0.05)
+    np.testing.assert_allclose(added[6:], whole[6:], rtol=0.1)
+    assert contact_of(0.0 * whole, shape) == MIDDLE
 
 
 SPREAD = np.linspace(1.0, 3.0, MOMENTS).astype(np.float32)
@@ -55,11 +130,7 @@ def frame(flow):
 
 def load(pull=(0.0, 0.0), turn=0.0):
     """Return the displacement of a press in the middle, pulled and turned [bins]."""
-    rows, columns = CONFIG.frame_shape
-    y, x = np.mgrid[:rows, :columns] - 0.5 * np.reshape([rows - 1, columns - 1], (2, 1, 1))
-    near = np.exp(-(x**2 + y**2) / (2.0 * 15.0**2))
-    moved = near * (0.1 * np.stack([x, y]) + np.reshape(pull, (2, 1, 1)))
-    return (moved + turn * near * np.stack([y, -x])).astype(np.float32)
+    return displacement(MIDDLE, press=0.1, pull=pull, turn=turn, width=15.0)
 
 
 def flow_between(before, after):
@@ -138,20 +209,6 @@ def test_values_that_are_not_finite_are_unknown():
         assert head.value is not None
 
 
-def run(model, trial, **options):
-    """Return the estimates of a trial."""
-    estimator = ForceEstimator(FgerEstimator(model), assume_free=True, **options)
-    rows, start = [], 0
-    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-    for image, mid_us, arrival_us in zip(
-        trial.frames, middle.tolist(), trial.arrival_us.tolist(), strict=True
-    ):
-        rows += estimator.push_events(trial.events.between(start, arrival_us), arrival_us)
-        start = arrival_us
-        estimator.push_frame(image * np.uint16(64), mid_us)
-    return rows
-
-
 @pytest.fixture(scope='module')
 def headed():
     found = random_model(CONFIG)
@@ -164,38 +221,75 @@ def headed():
 def test_the_normal_force_is_the_same_to_the_bit_with_and_without_the_head(headed, trial):
     kept = {name: each for name, each in headed.tensors.items() if not name.startswith('shear')}
     bare = replace(headed, config=FgerConfig().to_dict(), tensors=kept)
-    with_head, without = run(headed, trial), run(bare, trial)
+    with_head, without = estimates(headed, trial), estimates(bare, trial)
     assert [each[:3] for each in with_head] == [each[:3] for each in without]
     assert all(each.shear is None for each in without)
     assert all(np.isfinite(each.shear).all() for each in with_head)
 
 
 def test_gains_of_weights_and_of_parameters_multiply_what_they_name(headed, trial):
-    plain = np.array([each.shear for each in run(headed, trial)])
+    plain = np.array([each.shear for each in estimates(headed, trial)])
     assert np.abs(plain[:, :3]).max(axis=0).min() > 1e-8
     for found in (
-        run(with_sideways_gain(with_gain(headed, 1.5), 2.0), trial),
-        run(headed, trial, force_scale=1.5, sideways_scale=2.0),
+        estimates(with_sideways_gain(with_gain(headed, 1.5), 2.0), trial),
+        estimates(headed, trial, force_scale=1.5, sideways_scale=2.0),
     ):
         np.testing.assert_allclose([e.shear for e in found], 3.0 * plain, rtol=2e-3)
 
 
-def test_impossible_gains_and_models_without_the_head_are_refused(headed, model):
-    for gain in (0.0, float('nan')):
+def test_impossible_gains_and_other_models_are_refused(headed, model):
+    other = Model('another', 1, model.config, model.card, model.tensors)
+    for gain in (0.0, float('nan'), float('inf')):
+        for fold in (with_gain, with_sideways_gain):
+            with pytest.raises(ModelError):
+                fold(headed, gain)
+    for fold, wrong in ((with_sideways_gain, model), (with_gain, other)):
         with pytest.raises(ModelError):
-            with_sideways_gain(headed, gain)
-    with pytest.raises(ModelError):
-        with_sideways_gain(model, 2.0)
-
-
-class Message:
-    """Takes any attribute."""
+            fold(wrong, 2.0)
 
 
 def test_quality_says_which_axes_are_known():
     for shear, known in ((Shear(0.1, 0.2, 3e-4, 0.05, 1e-4), True), (None, False)):
-        message = Message()
+        message = SimpleNamespace()
         fill_quality(message, Estimate(2000, 0.5, shear=shear))
         assert message.sideways_known is message.torque_known is known
         assert (message.sideways_deviation > 0.0) is known
         assert (message.torque_deviation > 0.0) is known
+
+
+def forces(model, trial):
+    """Return forces and deviations of a trial, [T, 2]."""
+    return np.array([(each.force, each.deviation) for each in estimates(model, trial)])
+
+
+@pytest.mark.parametrize('gain', [0.3, 1.0, 2.0])
+def test_forces_are_multiplied_and_their_reasons_stay(model, trial, gain, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.streaming.LOWEST_FORCE', -0.01)
+    monkeypatch.setattr('mixtac_fger.streaming.HIGHEST_FORCE', 0.01)
+    before = {name: np.array(tensor) for name, tensor in model.tensors.items()}
+    plain = forces(model, trial)
+    assert len(plain) > 300
+    assert np.abs(plain[:, 0]).max() > 0.01
+    scaled = forces(with_gain(model, gain), trial)
+    assert scaled == pytest.approx(gain * plain, rel=1e-4, abs=1e-5)
+    for name, tensor in model.tensors.items():
+        assert (tensor == before[name]).all()
+    reasons = [
+        [each.reason for each in estimates(m, trial)] for m in (model, with_gain(model, gain))
+    ]
+    assert reasons[0] == reasons[1]
+    assert len(set(reasons[0])) > 1
+
+
+def test_a_scaled_model_is_written_and_read_back(model, tmp_path):
+    scaled = with_gain(model, 1.7)
+    card = ModelCard({'calibrated': {'gain': 1.7, 'gel': 'soft'}}, {})
+    path = tmp_path / 'mine.safetensors'
+    save_model(
+        path, Model(scaled.architecture, scaled.version, scaled.config, card, scaled.tensors)
+    )
+    found = read_model(path)
+    assert found.card.training == card.training
+    for name, tensor in scaled.tensors.items():
+        assert (found.tensors[name] == tensor).all()
+    assert 'soft' in path.with_suffix('.md').read_text()

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import gc
-import tracemalloc
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +11,7 @@ import pytest
 
 from mixtac_core.events.arrays import Events
 from mixtac_fger.estimator import EncodedFrame, Estimator
-from mixtac_fger.fger_net import FgerEstimator, with_gain
+from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
 
 if TYPE_CHECKING:
@@ -96,15 +94,11 @@ def test_windows_that_no_packet_covers_give_no_force(model, trial):
     # 204 to 206 ms lacks its second half, 210 to 212 its first; nothing is known between.
     assert ends(after) == [206_000, 212_000, 214_000, 216_000, 218_000, 220_000]
     assert [estimate.complete for estimate in after] == [False, False, True, True, True, True]
-    status = estimator.status()
-    assert (status.gaps, status.withheld, status.incomplete) == (1, 2, 2)
-
-
-def test_a_silent_stretch_is_no_hole(model, trial):
-    estimator = ready(model, trial)
-    found = estimator.push_events(Events.empty(), START_US + 50_000)
-    assert ends(found) == list(range(202_000, 250_001, 2000))
-    assert all(estimate.complete for estimate in found)
+    assert estimator.status().withheld == 2
+    # A silent stretch is no hole.
+    silent = estimator.push_events(Events.empty(), START_US + 50_000)
+    assert ends(silent) == list(range(222_000, 250_001, 2000))
+    assert all(estimate.complete for estimate in silent)
 
 
 def test_after_a_long_hole_the_next_frame_that_saw_its_end_brings_the_force_back(model, trial):
@@ -117,34 +111,28 @@ def test_after_a_long_hole_the_next_frame_that_saw_its_end_brings_the_force_back
     assert run(estimator, back + 10_000, back + 20_000) == []
     estimator.push_frame(trial.frames[0], back + 5000)
     assert ends(run(estimator, back + 20_000, back + 24_000)) == [back + 22_000, back + 24_000]
-    status = estimator.status()
-    assert (status.gaps, status.skipped_windows) == (1, 100)
 
 
 def test_the_force_after_a_long_hole_begins_at_the_frame_whatever_was_before(model, trial):
-    one, other = ready(model, trial), ready(model, trial)
-    few = run(one, START_US, START_US + 20_000)
-    many = other.push_events(events(START_US, START_US + 20_000, 9000), START_US + 20_000)
-    assert few[-1].force != many[-1].force
-    back = START_US + 220_000
-    after = []
-    for estimator in (one, other):
+    back, after = START_US + 220_000, []
+    for count in (20, 9000):
+        estimator = ready(model, trial)
+        estimator.push_events(events(START_US, START_US + 20_000, count), START_US + 20_000)
         run(estimator, back, back + 10_000, lost_before=True)
         estimator.push_frame(trial.frames[3], back + 5000)
         after.append(run(estimator, back + 10_000, back + 60_000))
     assert len(after[0]) == 25
     assert after[0] == after[1]
     largest_step = np.abs(np.diff([estimate.force for estimate in after[0]])).max()
-    frame_force = one.status().frame_force
-    assert after[0][0].force == pytest.approx(frame_force, abs=2 * largest_step)
+    assert after[0][0].force == pytest.approx(estimator.frame_force, abs=2 * largest_step)
 
 
 def test_a_clock_that_goes_back_starts_anew_with_the_next_frame(model, trial):
     estimator = ready(model, trial)
     assert run(estimator, START_US, START_US + 10_000)
     assert run(estimator, 5000, 10_000) == []
-    assert estimator.status().resets == 1
-    assert estimator.status().reason == 'waiting for a frame'
+    status = estimator.status()
+    assert (status.resets, status.reason) == (1, 'waiting for a frame')
     # A frame of the clock as it was.
     estimator.push_frame(trial.frames[0], START_US + 5000)
     assert run(estimator, 10_000, 14_000) == []
@@ -163,7 +151,7 @@ def test_without_frames_the_force_goes_on_for_a_stated_time(model, trial):
     assert estimator.status().withheld == 80
     estimator.push_frame(trial.frames[0], 590_000)
     assert ends(run(estimator, 600_000, 604_000)) == [602_000, 604_000]
-    assert estimator.status().ready
+    assert estimator.status().reason == ''
 
 
 def test_a_frame_that_comes_before_its_events_waits_for_them(model, trial):
@@ -176,18 +164,6 @@ def test_a_frame_that_comes_before_its_events_waits_for_them(model, trial):
     assert first[0][:-1] == first[1][:-1]
     assert all(estimate.frame_age_us >= 0 for estimate in first[0] + second[0])
     assert early.status().frames == later.status().frames == 2
-
-
-def test_no_force_without_packets_whatever_the_frames(model, trial):
-    estimator = ready(model, trial)
-    given = estimator.status().estimates
-    for index in range(20):
-        estimator.push_frame(trial.frames[0], START_US + index * FRAME_US)
-    status = estimator.status()
-    assert status.estimates == given
-    # The frame before these was used; four wait now.
-    assert status.frames == 1
-    assert status.frames_dropped == 20 - 4
 
 
 def test_saturated_windows_are_marked_and_finite(model, trial):
@@ -216,61 +192,15 @@ def test_frames_compared_with_the_reference_before_a_tare_are_left_out(model, tr
 
 
 def test_a_contact_at_the_start_is_felt_from_the_first_window_on(model, trial):
-    first = ready(model, trial)
-    second = ForceEstimator(FgerEstimator(model))
-    second.use_reference(first.reference.array)
+    opened = FgerEstimator(model)
+    opened.reference.use(ready(model, trial).reference.array)
+    estimator = ForceEstimator(opened)
     pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
-    second.push_frame(pressed, START_US - 5000)
-    second.push_events(Events.empty(), START_US)
-    (found,) = second.push_events(Events.empty(), START_US + 2000)
-    assert abs(second.frame_force) > 1e-3
-    assert found.force == pytest.approx(second.frame_force, rel=0.2)
-
-
-@pytest.mark.parametrize('gain', [0.25, 4.0])
-def test_a_calibration_changes_the_force_and_not_what_is_said_of_it(
-    model, trial, gain, monkeypatch
-):
-    monkeypatch.setattr('mixtac_fger.streaming.LOWEST_FORCE', -0.01)
-    monkeypatch.setattr('mixtac_fger.streaming.HIGHEST_FORCE', 0.01)
-    before, after = [], []
-    for each, found in ((model, before), (with_gain(model, gain), after)):
-        estimator = ready(each, trial, assume_free=True)
-        for index, image in enumerate(trial.frames):
-            begin = START_US + index * FRAME_US
-            estimator.push_frame(image, begin - 5000)
-            found.extend(run(estimator, begin, begin + FRAME_US))
-    assert [each.reason for each in before] == [each.reason for each in after]
-    assert len({each.reason for each in before}) > 1
-    assert [gain * each.force for each in before] == pytest.approx(
-        [each.force for each in after], rel=1e-3, abs=1e-5
-    )
-
-
-def test_memory_does_not_grow(model, trial):
-    estimator = ready(model, trial)
-
-    def second(start_us: int) -> None:
-        for frame in range(25):
-            begin = start_us + frame * FRAME_US
-            estimator.push_frame(trial.frames[frame % 5], begin - 5000)
-            for now in range(begin, begin + FRAME_US, 4000):
-                estimator.push_events(events(now, now + 4000, 80), now + 4000)
-
-    held = []
-    tracemalloc.start()
-    try:
-        # Until all that is remembered of the latest five seconds is full.
-        for index in range(6):
-            second(START_US + index * 1_000_000)
-        for index in range(6, 11):
-            second(START_US + index * 1_000_000)
-            gc.collect()
-            held.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    # A leak of one object per window shows in every second: 500 times 24 bytes at least.
-    assert min(np.diff(held)) < 500 * 24
+    estimator.push_frame(pressed, START_US - 5000)
+    estimator.push_events(Events.empty(), START_US)
+    (found,) = estimator.push_events(Events.empty(), START_US + 2000)
+    assert abs(estimator.frame_force) > 1e-3
+    assert found.force == pytest.approx(estimator.frame_force, rel=0.2)
 
 
 def test_frames_that_nobody_fetches_do_not_pile_up():
@@ -284,17 +214,16 @@ def test_frames_that_nobody_fetches_do_not_pile_up():
         estimator.push_events(Events.empty(), 40_000)
         status = estimator.status()
         assert status.frames + status.frames_dropped == 30
-        assert status.frames <= 4
+        assert 1 <= status.frames <= 4
     finally:
         estimator.close()
 
 
-@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
-def test_a_frame_thread_that_ends_is_the_reason_for_no_force():
+def test_a_defect_in_the_frame_thread_is_raised():
     estimator = ForceEstimator(Scripted(), background_frames=True)
     estimator.push_frame(np.zeros((0, 0), np.uint16), 0)
-    estimator.drain()
-    assert 'frame thread has ended' in estimator.status().reason
+    with pytest.raises(RuntimeError):
+        estimator.drain()
     estimator.close()
 
 
@@ -319,7 +248,6 @@ def test_a_frame_that_comes_after_a_later_one_is_left_out(model, trial):
     before = estimator.status()
     for late_us in (0, 2000, 40_000):
         estimator.push_frame(trial.frames[2], START_US + 60_000 - late_us)
-        assert run(estimator, START_US + 90_000, START_US + 100_000) is not None
+        run(estimator, START_US + 90_000, START_US + 100_000)
     after = estimator.status()
-    assert after.frames == before.frames
-    assert after.frames_dropped == before.frames_dropped + 3
+    assert (after.frames, after.frames_dropped) == (before.frames, before.frames_dropped + 3)

@@ -74,16 +74,14 @@ def test_moments_of_tiles_are_those_of_numpy():
 
 
 @given(
-    places=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 50), st.booleans()), max_size=60),
-    size=st.integers(1, 8),
+    places=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 50), st.booleans()), max_size=60)
 )
 @settings(max_examples=30)
-def test_net_events_are_a_histogram(places, size):
+def test_net_events_are_a_histogram(places):
     x, y, on = (np.array([place[k] for place in places], int) for k in range(3))
-    net = np.ones((40 // size, 60 // size), np.int8)
-    add_events(x.astype(np.uint16), y.astype(np.uint16), on.astype(bool), size, net)
-    edges = [np.arange(n + 1) * size for n in net.shape]
-    inside = (x < net.shape[1] * size) & (y < net.shape[0] * size)
+    net = np.ones((10, 15), np.int8)
+    add_events(x.astype(np.uint16), y.astype(np.uint16), on.astype(bool), 4, net)
+    edges, inside = [np.arange(n + 1) * 4 for n in net.shape], (x < 60) & (y < 40)
     expected, *_ = np.histogram2d(y[inside], x[inside], bins=edges, weights=2.0 * on[inside] - 1.0)
     np.testing.assert_array_equal(net, 1.0 + expected)
 
@@ -104,12 +102,10 @@ def test_a_displaced_reference_is_explained_and_moves_outward():
 
 
 @pytest.mark.parametrize('gain', [0.1, 0.4, 1.0, np.linspace(0.4, 1.0, WIDTH)])
-def test_no_contact_and_no_lamp_is_a_fault(compared, trial, gain):
+def test_no_contact_and_no_lamp_is_a_fault(compared, preparation, trial, gain):
     for index, image in enumerate(trial.frames):
         assert compared(noisy(gain * image, index)).unexplained() < 1.0
-
-
-def test_a_smooth_change_of_light_hardly_changes_what_the_network_reads(preparation, trial):
+    # Nor does the network read much of a smooth change of light.
     reference = preparation.contrast(trial.frames[0]).coarse
     even, shaded = (
         preparation.network_input(preparation.contrast(image.astype(np.uint16)), reference)
@@ -122,15 +118,13 @@ def test_a_smooth_change_of_light_hardly_changes_what_the_network_reads(preparat
     'change',
     [
         lambda image: np.roll(image, 2, 1),
-        lambda image: np.roll(image, -3, 0),
         lambda image: image * (np.arange(WIDTH) > 173),
         lambda image: image[:, ::-1],
-        lambda image: image[::-1],
         lambda image: 1023 - np.minimum(image, 1023),
         lambda image: gaussian_filter(image.astype(float), 8),
         lambda image: np.full_like(image, 1023),
     ],
-    ids=['right', 'up', 'half', 'mirror', 'flip', 'negative', 'focus', 'white'],
+    ids=['right', 'half', 'mirror', 'negative', 'focus', 'white'],
 )
 def test_what_no_contact_does_to_a_picture_is_found(compared, trial, change):
     image = np.ascontiguousarray(change(trial.frames[4])).astype(np.uint16)
@@ -157,12 +151,10 @@ def test_the_noise_of_the_sensor_is_no_fault_of_its_picture():
     for index in range(10):
         validity.frame(index * INTERVAL_US, random.normal(0.0, 0.7, (65, 86)).astype(np.float32))
     noise = np.full(TILES, 0.49)
-    assert PictureFigures(noise, noise, np.ones(TILES), 0.0, 0.0).unexplained() > 1.0
-    validity.frame(
-        10 * INTERVAL_US,
-        random.normal(0.0, 0.7, (65, 86)).astype(np.float32),
-        PictureFigures(noise, noise, np.ones(TILES), 0.0, 0.0),
-    )
+    found = PictureFigures(noise, noise, np.ones(TILES), 0.0, 0.0)
+    assert found.unexplained() > 1.0
+    last = random.normal(0.0, 0.7, (65, 86)).astype(np.float32)
+    validity.frame(10 * INTERVAL_US, last, found)
     assert validity.reason is Reason.TRUSTED
 
 
@@ -238,14 +230,9 @@ def test_what_is_not_known_of_the_events_is_no_fault(preparation, shaken):
 def test_noise_that_grows_is_no_motion(preparation, shaken, noise):
     validity, random = Validity(WIDTH), np.random.default_rng(5)
     follow(preparation, shaken, shaken.events, validity)
-    start = int(shaken.t_us[-1]) + INTERVAL_US
     still = preparation.contrast(shaken.frames[-1]).coarse
-    for index in range(4 * JUDGED_FRAMES):
-        now = start + index * INTERVAL_US
+    for index in range(1, 4 * JUDGED_FRAMES):
+        now = int(shaken.t_us[-1]) + index * INTERVAL_US
         validity.window(now, Events.empty(), complete=True)
         validity.frame(now, still + random.normal(0.0, noise, still.shape).astype(np.float32))
         assert validity.reason is Reason.TRUSTED
-
-
-def test_reasons_have_texts_of_their_own():
-    assert len({reason.text for reason in Reason}) == len(Reason)

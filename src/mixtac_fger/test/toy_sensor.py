@@ -10,6 +10,9 @@ import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_fger.config import ARCHITECTURE, VERSION, FgerConfig, tensor_shapes
+from mixtac_fger.estimator import Estimate
+from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import PictureFigures
 from mixtac_fger.weights import Model, ModelCard
 
@@ -106,3 +109,17 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
     force = tensors['correction.0.weight'][:, 0]
     np.copysign(force, -tensors['correction.2.weight'][0], out=force)
     return Model(ARCHITECTURE, VERSION, config.to_dict(), ModelCard(), tensors)
+
+
+def estimates(model: Model, trial: ToyTrial, **options: object) -> list[Estimate]:
+    """Return the estimates of a trial without contact at its start."""
+    estimator = ForceEstimator(FgerEstimator(model), assume_free=True, **options)
+    rows, start = [], 0
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    for image, mid_us, arrival_us in zip(
+        trial.frames, middle.tolist(), trial.arrival_us.tolist(), strict=True
+    ):
+        rows += estimator.push_events(trial.events.between(start, arrival_us), arrival_us)
+        start = arrival_us
+        estimator.push_frame(image * np.uint16(64), mid_us)
+    return rows

@@ -188,7 +188,7 @@ class FrameNetwork(nn.Module):
 
         Args:
             frames: Inputs, [N, channels, rows, columns].
-            moments: Of their displacement (`mixtac_fger.moments`), [N, 9]; [N, 0] without flow.
+            moments: Of their displacement (`mixtac_fger.shear`), [N, 9]; [N, 0] without flow.
         """
         maps = self.convolutions((frames - self.mean) / self.scale)
         found = torch.relu(self.project(maps.flatten(1)))

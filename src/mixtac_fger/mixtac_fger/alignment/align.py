@@ -15,10 +15,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
-from mixtac_fger.alignment.errors import AmbiguousImpulsesError, NoImpulseError
+from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_fger.alignment.histories import Recording
-from mixtac_fger.alignment.impulses import FORCE_GAP_S
+from mixtac_fger.alignment.impulses import FORCE_GAP_S, coincidences, pairs_at
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_fger.alignment.taps import fit_taps
 
@@ -55,13 +54,6 @@ EDGE_STD_S: Final = 2e-6
 """Both stamps are counts of a microsecond, with as much jitter."""
 TOLERANCE_S: Final = 2e-3
 """Edges further apart than this, and the drift, are not the same."""
-RIVAL: Final = 0.9
-"""Share of the most edges that meet from which on another way to meet is a rival."""
-TRIED: Final = 20
-"""Edges, spread over the recording, for which a partner is looked for, and partners tried for each:
-trying all pairs takes minutes."""
-NEIGHBOURS: Final = 8
-"""Edges before and after each that show its likeliest partners."""
 
 
 def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int64]) -> bool:
@@ -91,61 +83,17 @@ def fit_edges(
         complete: As many on both sides are the same ones, in this order.
 
     Raises:
-        NoImpulseError: Fewer than three edges in one recording, or none that meet.
-        AmbiguousImpulsesError: Edges meet in more than one way.
+        NoImpulseError: Fewer than three edges in one recording, or none that coincide.
+        AmbiguousImpulsesError: Edges coincide in more than one way.
         ShortBaselineError: Edges too close to each other.
         DriftError: The drift is not believable.
     """
     camera, reference = np.unique(camera_us), np.unique(reference_s)
-    if min(len(camera), len(reference)) < FEWEST_EDGES:
-        raise NoImpulseError(
-            f'{len(camera)} edges on external_edges, from the camera, and {len(reference)} on '
-            'reference_edges: three of each are needed',
-            remedy='record both topics with the trigger line connected, or align by taps',
-        )
-    x = (camera - camera[0]).astype(np.float64) * 1e-6
-    y = reference - reference[0]
-    whole = _pairs(x, y, 0, 0) if complete and len(x) == len(y) else []
-    pairs = whole if whole and len(whole) == len(x) else _best_pairs(x, y)
+    x = (camera - camera[:1]).astype(np.float64) * 1e-6
+    y = reference - reference[:1]
+    whole = complete and len(x) == len(y) >= FEWEST_EDGES
+    pairs = pairs_at(x, y, 0, 0, TOLERANCE_S) if whole else []
+    if not pairs or len(pairs) < len(x):
+        pairs = coincidences(x, y, tolerance_s=TOLERANCE_S, fewest=FEWEST_EDGES)
     anchors = [Anchor(int(camera[i]), float(reference[j]), EDGE_STD_S) for i, j in pairs]
     return fit_clock(anchors, method='hardware_edges')
-
-
-def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[int, int]]:
-    tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64))
-    found = [_pairs(x, y, i, j) for i in tried.tolist() for j in _likely(x, y, i)]
-    best = max(found, key=len)
-    if len(best) < FEWEST_EDGES:
-        raise NoImpulseError('no three edges have the same times between them in both recordings')
-    for other in found:
-        if len(other) > RIVAL * len(best) and not set(other) & set(best):
-            raise AmbiguousImpulsesError(
-                f'{len(best)} edges meet in more than one way: send them at unequal distances, or '
-                'start both recordings before the first edge'
-            )
-    return best
-
-
-def _nearest(y: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of the edges that are nearest to some times."""
-    after = np.clip(np.searchsorted(y, times), 1, len(y) - 1)
-    return np.asarray(after - ((times - y[after - 1]) < (y[after] - times)), np.int64)
-
-
-def _likely(x: NDArray[np.float64], y: NDArray[np.float64], i: int) -> list[int]:
-    """Return the edges of y that are most likely edge i of x, by the edges around it."""
-    around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
-    expected = y[:, None] + around
-    distance = np.abs(y[_nearest(y, expected)] - expected)
-    meets = (distance <= TOLERANCE_S + MAX_DRIFT * np.abs(around)).sum(axis=1)
-    return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
-
-
-def _pairs(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> list[tuple[int, int]]:
-    """Return the pairs that meet when edge i is edge j."""
-    expected = x - x[i] + y[j]
-    nearest = _nearest(y, expected)
-    allowed = TOLERANCE_S + MAX_DRIFT * np.abs(x - x[i])
-    meets = np.abs(y[nearest] - expected) <= allowed
-    pairs = [(int(k), int(nearest[k])) for k in np.flatnonzero(meets)]
-    return pairs if len({second for _, second in pairs}) == len(pairs) else []

@@ -15,50 +15,22 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_core.events.codec import StreamDecoder
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.packets import read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder, read_data, write_json
-from mixtac_core.node.images import ImageConversionError, grey
-from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
+from mixtac_core.node.topics import stamp_to_ns
 from mixtac_core.recordings.bag import BagFile, check_new, fit_path, typestore
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.align import arrived_together
-from mixtac_fger.alignment.clock_fit import ClockFit
-from mixtac_fger.alignment.errors import AlignmentError, GapError
-from mixtac_fger.alignment.histories import (
-    RESTART_US,
-    EventHistory,
-    FrameHistory,
-    Recording,
-    reduce_frame,
-)
+from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit, GapError
+from mixtac_fger.alignment.histories import EventHistory, FrameHistory, Recording, force_arrays
 
 LONGEST_S: Final = 3600.0
 """Longest span of frames and events that is kept [s]."""
-
-
-def add_packet(data: bytes, decoder: StreamDecoder, history: EventHistory) -> None:
-    """Add a serialised `EventPacket` to a history.
-
-    Raises:
-        CodecError: It is cut off, or its events are damaged.
-        GapError: The camera clock or its driver started anew, or jumped ahead by hours.
-    """
-    message = read_packet(data)
-    packet = decoder.decode(message)
-    if decoder.timed and history.add(packet, message.seq, message.width, message.height):
-        raise GapError(
-            f'the camera clock or its driver started anew at {packet.start_us * 1e-6:.1f} s, in'
-            f' packet {message.seq}',
-            remedy='record again, and do not restart the driver or set the clock of the host',
-        )
-
-
 _NS: Final = 1_000_000_000
 
 
@@ -80,92 +52,57 @@ def read_recording(
     Raises:
         RecordingError: No bag, or a topic is missing.
         CodecError: Damaged packets.
+        ImageConversionError: Frames that cannot be read.
         GapError: A clock went back or began anew, or the camera's went ahead by hours.
     """
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
     events, image, exposure, edge, other = (topics.absolute(name, namespace) for name in names)
     needed = () if edges_only else (events, reference)
-    history, frames = EventHistory(LONGEST_S), FrameHistory(LONGEST_S)
-    decoder = StreamDecoder()
-    images: dict[int, NDArray[np.float32]] = {}
-    spans: dict[int, tuple[int, int]] = {}
-    edges: list[int] = []
-    reference_edges: list[float] = []
-    arrived: tuple[list[int], list[int]] = ([], [])
+    more = (edge, other) if edges_only else (image, exposure, edge, other)
+    history, frames, decoder = EventHistory(LONGEST_S), FrameHistory(LONGEST_S), StreamDecoder()
+    # Stamp and arrival [ns] of each edge.
+    edges: dict[str, list[tuple[int, int]]] = {edge: [], other: []}
     samples: list[tuple[int, float]] = []
     with BagFile(path) as bag:
-        more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
         for topic, received_ns, message in bag.messages(*needed, *optional, raw=(events,)):
             if topic == events:
-                add_packet(message, decoder, history)
+                read = read_packet(message)
+                packet = decoder.decode(read)
+                if decoder.timed and history.add(packet, read.seq, read.width, read.height):
+                    raise GapError(
+                        'the camera clock or its driver started anew at'
+                        f' {packet.start_us * 1e-6:.1f} s, in packet {read.seq}',
+                        remedy='record again, and do not restart the driver or set the clock of the'
+                        ' host',
+                    )
             elif topic == reference:
                 samples.append((stamp_to_ns(message.header.stamp), topics.normal_force(message)))
-            elif topic in {image, exposure}:
-                stamp = stamp_to_ns(message.header.stamp)
-                if topic == image:
-                    images[stamp] = _features(message)
-                else:
-                    start_us = stamp_to_us(message.exposure_start)
-                    spans[stamp] = start_us, stamp_to_us(message.exposure_end)
-                if stamp in images and stamp in spans:
-                    frames.push(*spans.pop(stamp), images.pop(stamp))
-            elif topic == edge:
-                edges.append(stamp_to_us(message.header.stamp))
-                arrived[0].append(received_ns)
+            elif topic == image:
+                frames.add_image(message)
+            elif topic == exposure:
+                frames.add_exposure(message)
             else:
-                reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
-                arrived[1].append(received_ns)
+                stamp = message.header.stamp if topic == edge else message.time_ref
+                edges[topic].append((stamp_to_ns(stamp), received_ns))
     if not (edges_only or history.packets.received):
         raise RecordingError(f'{path} topic {events} is empty: the camera sent nothing')
-    force_t_s, force = _force(samples, f'{path} topic {reference}')
+    camera, trigger = (np.array(each, np.int64).reshape(-1, 2) for each in edges.values())
     return Recording(
-        counts=history.counts(),
-        events=history.events(),
-        frames=frames.snapshot(),
-        force_t_s=force_t_s,
-        force=force,
-        edges_us=np.array(edges, np.int64),
-        reference_edges_s=np.array(reference_edges),
-        damage=bag.damage,
-        all_edges=arrived_together(*(np.array(each, np.int64) for each in arrived)),
+        *history.snapshot(),
+        frames.snapshot(),
+        *force_arrays(samples),
+        camera[:, 0] // 1000,
+        trigger[:, 0] / 1e9,
+        bag.damage,
+        arrived_together(camera[:, 1], trigger[:, 1]),
     )
-
-
-def _force(
-    samples: list[tuple[int, float]], where: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the samples that the node would keep: times [s] and normal forces [N]."""
-    stamps = np.array([stamp for stamp, _ in samples], np.int64)
-    forces = np.array([normal for _, normal in samples], np.float64)
-    known = np.isfinite(forces) & (stamps > 0)
-    stamps, forces = stamps[known], forces[known]
-    back = np.diff(stamps)
-    if (back < -1000 * RESTART_US).any():
-        raise GapError(
-            f'{where}: the clock of the force sensor went back',
-            remedy='record again, and do not restart the force sensor between the taps',
-        )
-    # Late samples are sorted in, repeated ones dropped.
-    stamps, first = np.unique(stamps, return_index=True)
-    return stamps / 1e9, forces[first]
-
-
-def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
-    try:
-        pixels = grey(message)
-    except ImageConversionError as error:
-        raise RecordingError(f'frames cannot be read: {error}') from error
-    return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-
-
-SCHEMA: Final = 1
 
 
 def write_fit(fit: ClockFit, bag: Path) -> Path:
     """Write a fit beside its bag and return the file: the fields of `mixtac_msgs/ClockFit`."""
     path = fit_path(bag)
-    write_json(path, {'schema': SCHEMA, 'bag': bag.name, **fit.to_fields()})
+    write_json(path, {'schema': 1, 'bag': bag.name, **fit.to_fields()})
     return path
 
 
@@ -173,20 +110,14 @@ def read_fit(bag: Path) -> ClockFit:
     """Return the fit beside a bag.
 
     Raises:
-        AlignmentError: No such file, another schema, or a file that describes no map.
+        AlignmentError: No such file, or a file that describes no map.
     """
-    path, remedy = fit_path(bag), f'run `mixtac align {bag}`'
+    path = fit_path(bag)
     try:
-        content = dict(read_data(path))
-        schema = content['schema']
-    except (MixtacError, TypeError, ValueError, KeyError) as error:
-        raise AlignmentError(f'no clock fit in {path} ({error})', remedy=remedy) from error
-    if schema != SCHEMA:
-        raise AlignmentError(f'{path} has schema {schema}, not {SCHEMA}', remedy=remedy)
-    try:
-        return ClockFit.from_fields(content)
-    except AlignmentError as error:
-        raise AlignmentError(f'{path}: {error.message}', remedy=remedy) from error
+        return ClockFit.from_fields(dict(read_data(path)))
+    except (MixtacError, TypeError, ValueError) as error:
+        text = f'no clock fit in {path} ({error})'
+        raise AlignmentError(text, remedy=f'run `mixtac align {bag}`') from error
 
 
 def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> None:
@@ -212,8 +143,13 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
     with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
         handles = writer.add_topics_of(source, fit_topic)
         fit_handle = writer.add_topic(fit_topic, topics.CLOCK_FIT.type_name, latched=True)
-        own = _fit_message(types, _of_one_clock(fit), source.start_ns)
-        writer.write(fit_handle, source.start_ns, own)
+        anchors = tuple(
+            replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
+            for anchor in fit.anchors
+        )
+        own = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
+        own = own.with_map(1.0, 0.0, fit.covariance)
+        writer.write(fit_handle, source.start_ns, _fit_message(types, own, source.start_ns))
         raw = handles.keys() - {reference}
         for topic, received_ns, message in source.messages(*handles, raw=raw):
             data = message
@@ -224,16 +160,6 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
                 data = types.serialize_cdr(message, source.types[reference])
             writer.write(handles[topic], received_ns, data)
-
-
-def _of_one_clock(fit: ClockFit) -> ClockFit:
-    """Return the map of a bag whose reference has been brought to the camera clock by a fit."""
-    anchors = tuple(
-        replace(anchor, reference_s=int(fit.to_camera(anchor.reference_s)) * 1e-6)
-        for anchor in fit.anchors
-    )
-    moved = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
-    return moved.with_map(1.0, 0.0, fit.covariance)
 
 
 def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401

@@ -24,12 +24,38 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.errors import (
-    AlignmentError,
-    DriftError,
-    NoImpulseError,
-    ShortBaselineError,
-)
+from mixtac_core.events.errors import MixtacError
+
+
+class AlignmentError(MixtacError):
+    """Two recordings whose clocks cannot be aligned."""
+
+
+class NoImpulseError(AlignmentError):
+    """Fewer than two impulses in one of the recordings, or none that match."""
+
+
+class AmbiguousImpulsesError(AlignmentError):
+    """Impulses that match in more than one way."""
+
+
+class SaturatedImpulseError(AlignmentError):
+    """An impulse cut off by the range of the force sensor: its peak has no time."""
+
+
+class ShortBaselineError(AlignmentError):
+    """Anchors too close to each other for their uncertainty."""
+
+
+class DriftError(AlignmentError):
+    """A clock drift that no pair of working clocks has."""
+
+
+class GapError(AlignmentError):
+    """Data missing where they are needed, or a clock that jumped."""
+
+
+F64 = NDArray[np.float64]
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
@@ -70,28 +96,28 @@ class ClockFit:
 
     a: float
     b: float
-    covariance: NDArray[np.float64]
+    covariance: F64
     camera_epoch_us: int
     reference_epoch_s: float
     anchors: tuple[Anchor, ...]
-    residuals_s: NDArray[np.float64]
+    residuals_s: F64
     method: str
 
-    def to_reference(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def to_reference(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return camera times [us] on the reference clock [s]."""
         return self.reference_epoch_s + (self.a * self.since_epoch_s(t_us) + self.b)
 
-    def to_camera(self, t_s: float | NDArray[np.float64]) -> NDArray[np.int64]:
+    def to_camera(self, t_s: float | F64) -> NDArray[np.int64]:
         """Return reference times [s] on the camera clock [us, rounded]."""
         seconds = (np.asarray(t_s, np.float64) - self.reference_epoch_s - self.b) / self.a
         return np.int64(self.camera_epoch_us) + np.rint(seconds * 1e6).astype(np.int64)
 
-    def stamp_to_camera_us(self, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def stamp_to_camera_us(self, stamp_ns: NDArray[np.int64]) -> F64:
         """Return stamps of the reference clock [ns] on the camera clock [us, not rounded]."""
         seconds = (stamp_ns - round(self.reference_epoch_s) * 1_000_000_000) / 1e9
         return np.asarray(self.camera_epoch_us + (seconds - self.b) / self.a * 1e6)
 
-    def std_at(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def std_at(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return the standard deviation [s] of `to_reference` at camera times [us]."""
         dt = self.since_epoch_s(t_us)
         c = self.covariance
@@ -110,8 +136,8 @@ class ClockFit:
         """Drift of the reference clock against the camera clock [1e-6]."""
         return (self.a - 1.0) * 1e6
 
-    def with_map(self, a: float, b: float, covariance: NDArray[np.float64]) -> ClockFit:
-        """Return another map with the same epochs and anchors; the residuals are those to it.
+    def with_map(self, a: float, b: float, covariance: F64) -> ClockFit:
+        """Return another map with the same epochs and anchors, with the residuals to this map.
 
         Args:
             a: Rate.
@@ -173,26 +199,22 @@ class ClockFit:
             residuals_s = np.array(fields['residuals'], np.float64).reshape(-1)
             method = str(fields['method'])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise AlignmentError(f'clock fit: {error}', remedy='fit again') from error
+        times = np.array([b, camera_s, reference_s, *pairs_s.flat])
+        if (
+            not (a > 0.0 and np.isfinite([a, *covariance.flat]).all())
+            or not (np.abs(times) < _LATEST_S).all()
+        ):
             raise AlignmentError(
-                f'clock fit without a number in each field: {error}', remedy='fit again'
-            ) from error
-        times = np.array([camera_s, reference_s, *pairs_s.flat])
-        known = a > 0.0 and np.isfinite([a, b, *covariance.flat]).all()
-        if not known or not (np.abs(times) < _LATEST_S).all():
-            raise AlignmentError(
-                f'clock fit with a = {a}, b = {b} about {camera_s} s and {reference_s} s is no map'
-                ' of clocks',
-                remedy='fit again',
+                f'clock fit with a = {a} and b = {b} s is no map of clocks', remedy='fit again'
             )
         camera_us = round(camera_s * 1e6)
         fit = cls(a, b, covariance, camera_us, reference_s, (), residuals_s, method)
-        anchors = []
-        for at_s, shown_s in pairs_s.T.tolist():
-            at_us = round(at_s * 1e6)
-            anchors.append(Anchor(at_us, shown_s, float(fit.std_at(at_us))))
-        return replace(fit, anchors=tuple(anchors))
+        at_us = [round(at_s * 1e6) for at_s in pairs_s[0].tolist()]
+        stds = fit.std_at(np.array(at_us, np.int64)).tolist()
+        return replace(fit, anchors=tuple(map(Anchor, at_us, pairs_s[1].tolist(), stds)))
 
-    def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> F64:
         """Return camera times [us] as seconds from the camera epoch."""
         since = np.asarray(t_us, np.int64) - np.int64(self.camera_epoch_us)
         return since.astype(np.float64) * 1e-6
@@ -204,6 +226,7 @@ def fit_clock(
     min_baseline_s: float = 1.0,
     max_drift: float = MAX_DRIFT,
     common_std_s: float = 0.0,
+    drift_std: float = 0.0,
     method: str = '',
 ) -> ClockFit:
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
@@ -216,19 +239,15 @@ def fit_clock(
         min_baseline_s: Shortest time between the first and the last anchor [s].
         max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
         common_std_s: Standard deviation of an error that all anchors share [s].
+        drift_std: Prior standard deviation of ``a - 1``, which pulls an uncertain drift towards
+            zero; 0 for no prior.
         method: Name of the method; empty for that of the solution.
 
     Raises:
-        NoImpulseError: Fewer than two anchors.
         ShortBaselineError: All anchors within `min_baseline_s`.
         DriftError: The drift is not believable.
     """
     ordered = tuple(sorted(anchors, key=lambda anchor: anchor.camera_us))
-    if len(ordered) < 2:
-        raise NoImpulseError(
-            f'{len(ordered)} anchor for a clock map: it takes two impulses, one at the beginning '
-            'and one at the end'
-        )
     camera_us = [anchor.camera_us for anchor in ordered]
     baseline_s = (camera_us[-1] - camera_us[0]) * 1e-6
     if baseline_s < min_baseline_s or baseline_s <= 0.0:
@@ -265,16 +284,6 @@ def fit_clock(
             f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
             'were lost; record again with two sharp taps'
         )
-    return fit
-
-
-def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
-    """Return a map whose drift, as far as it is uncertain, is pulled towards zero.
-
-    Args:
-        fit: The map from anchors.
-        drift_std: Prior standard deviation of ``a - 1``; 0 for no prior.
-    """
     if drift_std <= 0.0:
         return fit
     gain = fit.covariance[:, 0] / (fit.covariance[0, 0] + drift_std**2)
@@ -286,7 +295,7 @@ def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
     )
 
 
-def _stray_variance(residuals: NDArray[np.float64]) -> float:
+def _stray_variance(residuals: F64) -> float:
     """Return the variance [s^2] that neighbours share beyond chance: more anchors do not lower it.
 
     The drift changes with the temperature, so that hours are no straight line.
@@ -296,9 +305,7 @@ def _stray_variance(residuals: NDArray[np.float64]) -> float:
     return max(shared - chance, 0.0)
 
 
-def _solve(
-    x: NDArray[np.float64], y: NDArray[np.float64], std: NDArray[np.float64]
-) -> tuple[tuple[float, float], NDArray[np.float64]]:
+def _solve(x: F64, y: F64, std: F64) -> tuple[tuple[float, float], F64]:
     """Return (a, b) and their covariance, solved about the weighted means for precision."""
     w = 1.0 / std**2
     x0, y0 = float(np.average(x, weights=w)), float(np.average(y, weights=w))

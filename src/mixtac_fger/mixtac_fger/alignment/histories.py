@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events, frames and force that the alignment keeps, in bounded memory.
 
-Events are counted in bins of 0.5 ms, and kept by image cell and polarity (`EventHistory`,
-`EventCounts`, `CellEvents`). Frames are reduced to the log brightness of coarse
-cells and joined with their exposure times (`FrameHistory`, `FrameFeatures`): a frame shows the
-deformation of the gel averaged over its exposure, whose times the camera gives exactly, without the
-latency of the event pixels. `ForceHistory` holds samples of the reference force.
+Events are kept by image cell and polarity, and counted in bins of 0.5 ms (`EventHistory`). Frames
+are reduced to the log brightness of coarse cells and joined with their exposure times
+(`FrameHistory`): a frame shows the deformation of the gel averaged over its exposure, whose times
+the camera gives exactly, without the latency of the event pixels. `force_arrays` sorts samples of
+the reference force. A `Recording` holds these arrays; node and bags make it in the same way.
 """
 
 from __future__ import annotations
@@ -21,11 +21,25 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.packets import DecodedPacket, SequenceCounter
+from mixtac_core.node.images import grey
+from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
+from mixtac_fger.alignment.clock_fit import GapError
+
+F64 = NDArray[np.float64]
 
 CELL_PX: Final = 10
 """Side of a cell: several beads wide at most, so that motion of a part of a pixel shows."""
 DARK: Final = 0.008
 """Part of the full scale that is added before the logarithm, so that dark cells do not count."""
+BIN_US: Final = 500
+"""Width of a bin [us]: bursts of an impulse last 2 to 20 ms."""
+RESTART_US: Final = 1_000_000
+"""A larger step back of a clock is a restart of it [us]."""
+
+
+def has_restarted(stamp_ns: int, newest_ns: int) -> bool:
+    """Return whether a clock has restarted between two stamps [ns]."""
+    return stamp_ns < newest_ns - 1000 * RESTART_US
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +47,7 @@ class FrameFeatures:
     """Frames of a recording, camera clock.
 
     Attributes:
-        start_us: Start of each exposure, camera clock [us], ``int64 [n]``, increasing.
+        start_us: Start of each exposure, camera clock [us], ``int64 [n]``.
         end_us: End of each exposure, camera clock [us], ``int64 [n]``.
         values: Log brightness of the cells, ``float32 [n, cells]``.
     """
@@ -56,31 +70,66 @@ def reduce_frame(image: NDArray[Any], full_scale: float) -> NDArray[np.float32]:
     return np.asarray(np.log(means / np.float32(full_scale) + np.float32(DARK)), np.float32)
 
 
-BIN_US: Final = 500
-"""Width of a bin [us]: bursts of an impulse last 2 to 20 ms."""
-RESTART_US: Final = 1_000_000
-"""A larger step back of a clock is a restart of it [us]."""
+FRAMES_PER_S: Final = 60
+"""Most frames a second that are kept."""
+WAITING: Final = 32
+"""Images and exposures, at most, that wait for each other."""
 
 
-def has_restarted(stamp_ns: int, newest_ns: int) -> bool:
-    """Return whether a clock has restarted between two stamps [ns]."""
-    return stamp_ns < newest_ns - 1000 * RESTART_US
-
-
-def follow_stamps(queues: Iterable[Any], stamp_ns: int, newest_ns: int) -> int:
-    """Empty what waits to be paired where its clock has restarted; return the newest stamp [ns].
-
-    What waits is of the clock before, and would push out all that is new.
+class FrameHistory:
+    """The latest frames; an image and its exposure times are joined by their stamp.
 
     Args:
-        queues: Those of a synchroniser of `message_filters`.
-        stamp_ns: Stamp of a message that has just come.
-        newest_ns: That of the one before.
+        span_s: Time to remember [s].
     """
-    if has_restarted(stamp_ns, newest_ns):
-        for queue in queues:
-            queue.clear()
-    return stamp_ns
+
+    def __init__(self, span_s: float) -> None:
+        self._frames: deque[tuple[int, int, NDArray[np.float32]]] = deque(
+            maxlen=max(16, round(span_s * FRAMES_PER_S))
+        )
+        self._span_us = round(1e6 * span_s)
+        self._halves: dict[int, dict[str, Any]] = {}
+
+    def add_image(self, message: Any) -> None:  # noqa: ANN401
+        """Add a `sensor_msgs/Image`.
+
+        Raises:
+            ImageConversionError: Its encoding cannot be read.
+        """
+        pixels = grey(message)
+        self._join(message, values=reduce_frame(pixels, float(np.iinfo(pixels.dtype).max)))
+
+    def add_exposure(self, message: Any) -> None:  # noqa: ANN401
+        """Add the `mixtac_msgs/FrameExposure` of an image."""
+        start_us, end_us = map(stamp_to_us, (message.exposure_start, message.exposure_end))
+        self._join(message, span=(start_us, end_us))
+
+    def _join(self, message: Any, **half: Any) -> None:  # noqa: ANN401
+        """Keep half of a frame until the other one comes.
+
+        An image smaller than a cell shows nothing, and an exposure without length has no times.
+        """
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        both = self._halves.pop(stamp_ns, {}) | half
+        if len(both) < 2:
+            self._halves[stamp_ns] = both
+            if len(self._halves) > WAITING:
+                del self._halves[next(iter(self._halves))]
+        elif both['values'].size and both['span'][0] < both['span'][1]:
+            self._frames.append((*both['span'], both['values']))
+
+    def snapshot(self) -> FrameFeatures | None:
+        """Return the frames of the size of the latest one, oldest first; none if there are none."""
+        if not self._frames:
+            return None
+        latest_us, _, latest = self._frames[-1]
+        rows = [
+            row
+            for row in self._frames
+            if row[0] >= latest_us - self._span_us and row[2].shape == latest.shape
+        ]
+        start, end = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
+        return FrameFeatures(start, end, np.stack([row[2] for row in rows]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,23 +199,20 @@ def by_cell(events: Events, width: int, height: int) -> CellEvents:
 
 
 class EventHistory:
-    """Counts the events of a stream, and keeps its latest events by cell.
+    """Keeps the latest events of a stream by cell, and counts them.
 
     Packets are reduced in batches: one by one would take most of the time of an alignment.
 
     Attributes:
         packets: Follows the packets' numbers.
-        restarts: Times the camera clock or its driver started anew, which empties the history.
-        dropped: Events by cell that were dropped to make room.
 
     Args:
         span_s: Time to remember [s].
-        most: Events by cell to remember.
+        most: Events to remember.
     """
 
     def __init__(self, span_s: float, most: int = MOST_EVENTS) -> None:
         self.packets = SequenceCounter()
-        self.restarts = self.dropped = 0
         self._span_us, self._most = round(1e6 * span_s), most
         self._size = (0, 0)
         self._clear()
@@ -180,6 +226,8 @@ class EventHistory:
     def add(self, packet: DecodedPacket, seq: int, width: int, height: int) -> bool:
         """Add a packet; return whether its clock or its driver has started anew.
 
+        A new start empties the history.
+
         Args:
             packet: The packet.
             seq: Its number.
@@ -191,10 +239,7 @@ class EventHistory:
         jumped = self._first >= 0 and not -RESTART_US <= ahead_us <= LONGEST_HOLE_US
         anew = jumped or self.packets.restarts > before
         if anew:
-            self.restarts += 1
             self._clear()
-        if self._size != (width, height):
-            self._reduce()
         self._size = width, height
         if self._first < 0:
             self._first = packet.start_us // BIN_US
@@ -207,21 +252,8 @@ class EventHistory:
             self._reduce()
         return anew
 
-    def counts(self) -> EventCounts:
-        """Return the counts of the bins that are complete, as far back as events are kept."""
-        self._reduce()
-        end = max(self._end_us // BIN_US, self._first + 1)
-        first = max(self._first, end - self._span_us // BIN_US)
-        total = np.zeros(end - first, np.int64)
-        for part in self._cells:
-            bins = part.t_us // BIN_US - first
-            bins = bins[(bins >= 0) & (bins < len(total))]
-            total += np.bincount(bins, minlength=len(total)) if len(bins) else 0
-        lost = tuple((a - first, b - first) for a, b in self._lost if b > first)
-        return EventCounts(first * BIN_US, BIN_US, total, lost)
-
-    def events(self) -> CellEvents:
-        """Return the latest events by cell, in the order of time."""
+    def snapshot(self) -> tuple[EventCounts, CellEvents]:
+        """Return counts in the bins that are complete, and the events in the order of time."""
         self._reduce()
         parts = self._cells or [by_cell(Events.empty(), *self._size)]
         t_us, cell, on = (
@@ -229,7 +261,13 @@ class EventHistory:
             for name in ('t_us', 'cell', 'on')
         )
         order = np.argsort(t_us, kind='stable')
-        return CellEvents(t_us[order], cell[order], on[order])
+        events = CellEvents(t_us[order], cell[order], on[order])
+        end = max(self._end_us // BIN_US, self._first + 1)
+        first = max(self._first, end - self._span_us // BIN_US)
+        bins = events.between(first * BIN_US, end * BIN_US).t_us // BIN_US - first
+        lost = tuple((a - first, b - first) for a, b in self._lost if b > first)
+        counts = np.bincount(bins, minlength=end - first)
+        return EventCounts(first * BIN_US, BIN_US, counts, lost), events
 
     def _reduce(self) -> None:
         if not self._batch:
@@ -244,97 +282,28 @@ class EventHistory:
             part = self._cells.popleft()
             self._held -= len(part.t_us)
             self._first = max(self._first, int(part.t_us[-1]) // BIN_US + 1)
-            self.dropped += len(part.t_us) if part.t_us[-1] >= oldest_us else 0
 
 
-FRAMES_PER_S: Final = 60
-"""Most frames a second that are remembered."""
+def force_arrays(samples: Iterable[tuple[int, float]]) -> tuple[F64, F64]:
+    """Return increasing times [s] and forces [N] of samples of the reference sensor.
 
-
-class FrameHistory:
-    """Frames of the last minutes, with the time of their exposure.
+    Late samples are sorted in. Repeated ones, and those without a stamp or a number, are left out.
 
     Args:
-        span_s: Time to remember [s].
-    """
+        samples: Stamps, reference clock [ns], and forces [N] in the order of arrival.
 
-    def __init__(self, span_s: float) -> None:
-        self._span_us = round(span_s * 1e6)
-        self._frames: deque[tuple[int, int, NDArray[np.float32]]] = deque(
-            maxlen=max(16, round(span_s * FRAMES_PER_S))
+    Raises:
+        GapError: The clock of the force sensor went back.
+    """
+    pairs = [(stamp, force) for stamp, force in samples if stamp > 0 and np.isfinite(force)]
+    stamps = np.array([stamp for stamp, _ in pairs], np.int64)
+    if has_restarted(int(np.diff(stamps).min(initial=0)), 0):
+        raise GapError(
+            'the clock of the force sensor went back',
+            remedy='record again, and do not restart the force sensor between the taps',
         )
-
-    def push(self, start_us: int, end_us: int, values: NDArray[np.float32]) -> None:
-        """Add a frame; an earlier exposure, or another size, restarts the history.
-
-        An image that is smaller than a cell shows nothing and is left out, and so is one whose
-        exposure has no length: its times are missing.
-
-        Args:
-            start_us: Start of the exposure, camera clock [us].
-            end_us: Its end.
-            values: Log brightness, as `reduce_frame` gives it.
-        """
-        if not values.size or start_us >= end_us:
-            return
-        if self._frames:
-            before_us, _, before = self._frames[-1]
-            if start_us <= before_us or values.shape != before.shape:
-                self._frames.clear()
-        self._frames.append((start_us, end_us, values))
-
-    def snapshot(self) -> FrameFeatures | None:
-        """Return the frames, oldest first; none if there are none."""
-        if not self._frames:
-            return None
-        oldest = self._frames[-1][0] - self._span_us
-        rows = [row for row in self._frames if row[0] >= oldest]
-        start, end = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
-        return FrameFeatures(start, end, np.stack([row[2] for row in rows]))
-
-
-class ForceHistory:
-    """The latest force samples, with increasing stamps.
-
-    Attributes:
-        refused: Samples without a stamp, with an earlier one, or whose force is no number.
-        restarts: Times the reference clock went back by more than a second.
-
-    Args:
-        span_s: Time to remember [s].
-        capacity: Most samples to remember.
-    """
-
-    def __init__(self, span_s: float, capacity: int) -> None:
-        self.refused = self.restarts = 0
-        self._span_ns = round(span_s * 1e9)
-        self._samples: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=capacity)
-
-    def push(self, t_ns: int, force: tuple[float, float, float]) -> bool:
-        """Add a sample; return whether it was kept.
-
-        Args:
-            t_ns: Stamp, reference clock [ns].
-            force: Force (x, y, z) [N].
-        """
-        samples = self._samples
-        sound = t_ns != 0 and bool(np.isfinite(force).all())
-        if sound and samples and has_restarted(t_ns, samples[-1][0]):
-            self.restarts += 1
-            samples.clear()
-        # Seconds in float64 hold no less than a microsecond.
-        if not sound or (samples and t_ns // 1000 <= samples[-1][0] // 1000):
-            self.refused += 1
-            return False
-        samples.append((t_ns, force))
-        return True
-
-    def snapshot(self, axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times (reference clock [s]) and forces [N] along an axis, oldest first."""
-        t_ns = np.array([t for t, _ in self._samples], np.int64)
-        force = np.array([force for _, force in self._samples], np.float64).reshape(-1, 3)
-        recent = t_ns >= (t_ns[-1] if len(t_ns) else 0) - self._span_ns
-        return t_ns[recent] / 1e9, force[recent, 'xyz'.index(axis)]
+    stamps, first = np.unique(stamps, return_index=True)
+    return stamps / 1e9, np.array([force for _, force in pairs], np.float64)[first]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -349,16 +318,16 @@ class Recording:
         force: Its normal force [N], of either sign.
         edges_us: Edges at the camera's synchronisation input, camera clock [us].
         reference_edges_s: The same edges on the reference clock [s].
-        all_edges: Whether the first edges of both clocks are the same one, and so on.
         damage: What is missing because the bag is incomplete; empty for a sound one.
+        all_edges: Whether the first edges of both clocks are the same one, and so on.
     """
 
     counts: EventCounts
     events: CellEvents
     frames: FrameFeatures | None
-    force_t_s: NDArray[np.float64]
-    force: NDArray[np.float64]
+    force_t_s: F64
+    force: F64
     edges_us: NDArray[np.int64]
-    reference_edges_s: NDArray[np.float64]
+    reference_edges_s: F64
     damage: str = ''
     all_edges: bool = False

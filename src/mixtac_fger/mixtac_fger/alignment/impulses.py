@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Synchronising impulses: force peaks, and the pairing of impulses of two recordings.
+"""Synchronising impulses: force peaks, bursts of events, and the pairing of two recordings.
 
 An impulse is a sharp tap on the sensor. The force sensor sees a short peak, the camera a burst of
 events. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz) cannot be
@@ -8,27 +8,26 @@ separated from the offset `b` and stays in it: a camera time maps to the stamp o
 shows the force of that moment.
 
 The pairing needs no knowledge of the clocks. `prefer_isolated` first discards impulses without a
-still interval before and after them: a deliberate tap has both, a bouncing load does not. Two
-impulses of one recording and two of the other define a candidate map, if the intervals between them
-agree within the largest drift of the clocks. `pair_impulses` selects the candidate under which the
-most impulses coincide.
+still interval before and after them: a deliberate tap has both, a bouncing load does not.
+`coincidences` then selects the clock offset under which the most impulses coincide; edges of a
+trigger line are paired in the same way. `paired_impulses` does all of this (paper, section Aligning
+Data). A force recording with a gap is rejected, because its clock may have changed at the gap.
 
-`paired_impulses` does all of this (paper, section Aligning Data). Intervals without data are found
-first. An interval without events, where noise alone would cause some, is marked as lost
-(`mark_gaps`). A force recording with a gap is rejected (`require_continuous`), because its clock
-may have changed at the gap.
+SciPy is imported inside the functions: it takes a second to load, which the commands that do not
+align need not wait for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations, product
-from typing import Final
+import warnings
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.errors import (
+from mixtac_fger.alignment.clock_fit import (
+    MAX_DRIFT,
     AlignmentError,
     AmbiguousImpulsesError,
     GapError,
@@ -37,12 +36,53 @@ from mixtac_fger.alignment.errors import (
 )
 from mixtac_fger.alignment.histories import EventCounts
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_fger.alignment.signals import (
-    gaussian_smooth,
-    noise_std,
-    pressing_sign,
-    prominent_peaks,
-)
+
+F64 = NDArray[np.float64]
+
+
+def gaussian_smooth(values: F64, width: float) -> F64:
+    """Return samples smoothed by a Gaussian; beyond the ends the last samples go on.
+
+    Args:
+        values: Evenly spaced samples, ``float64 [n]``, not empty.
+        width: Standard deviation, in samples.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(values, max(width, 1e-9), mode='nearest'))
+
+
+def noise_std(force_N: F64) -> float:
+    """Return the standard deviation of the white noise of samples [N], from second differences."""
+    second = np.diff(force_N, 2)
+    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
+
+
+def pressing_sign(force_N: F64) -> float:
+    """Return the sign that makes pressing positive: 1 or -1."""
+    relative = force_N - np.median(force_N)
+    return 1.0 if relative.max() >= -relative.min() else -1.0
+
+
+def prominent_peaks(values: F64, prominence: float, window: int) -> list[tuple[int, float, float]]:
+    """Return place, prominence and width at half the prominence of peaks [samples].
+
+    The place of a plateau is its middle.
+
+    Args:
+        values: Evenly spaced samples.
+        prominence: Least prominence.
+        window: Samples, an odd number, about a peak among which its prominence is taken.
+    """
+    from scipy.signal import find_peaks
+
+    with warnings.catch_warnings():
+        # SciPy warns of peaks without prominence before it leaves them out.
+        warnings.simplefilter('ignore', RuntimeWarning)
+        places, found = find_peaks(values, prominence=prominence, width=0.0, wlen=window)
+    sizes = found['prominences'].tolist(), found['widths'].tolist()
+    return list(zip(places.tolist(), *sizes, strict=True))
+
 
 MIN_SPACING_S: Final = 0.3
 """Of impulses closer than this, bounces mostly, the strongest counts [s]."""
@@ -63,7 +103,7 @@ class Impulse:
     saturated: bool = False
 
 
-def vertex(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:
+def vertex(t: F64, value: F64) -> float:
     """Return the time of the vertex of the parabola through samples [s], within the samples.
 
     Args:
@@ -94,9 +134,7 @@ NOISE_FACTOR: Final = 8.0
 
 
 def find_force_impulses(
-    t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
-    parameters: AlignmentParameters = DEFAULTS,
+    t_s: F64, force_N: F64, parameters: AlignmentParameters = DEFAULTS
 ) -> list[Impulse]:
     """Find sharp force peaks; their times lie between the samples.
 
@@ -131,7 +169,7 @@ def find_force_impulses(
     return strongest(impulses, MIN_SPACING_S)
 
 
-def _top(force: NDArray[np.float64], peak: int, level: float, least: int = 2) -> tuple[int, int]:
+def _top(force: F64, peak: int, level: float, least: int = 2) -> tuple[int, int]:
     """Return the range of samples about the peak above a level, at least `least` to each side."""
     first = last = peak
     while first > 0 and (force[first - 1] >= level or peak - first < least):
@@ -177,9 +215,7 @@ DISTURBANCE_SHARE: Final = 0.25
 """Smallest disturbance, as a share of the height of the impulse itself."""
 
 
-def prefer_isolated(
-    impulses: list[Impulse], time_s: NDArray[np.float64], signal: NDArray[np.float64]
-) -> list[Impulse]:
+def prefer_isolated(impulses: list[Impulse], time_s: F64, signal: F64) -> list[Impulse]:
     """Return the isolated impulses, or all where fewer than two are isolated.
 
     Args:
@@ -188,155 +224,111 @@ def prefer_isolated(
         signal: The signal in which the impulses were found: event rate or force, in any unit.
     """
     height = np.abs(signal - np.median(signal))
-    chosen = [impulse for impulse in impulses if _is_isolated(impulse.time_s, time_s, height)]
+
+    def is_isolated(impulse: Impulse) -> bool:
+        offsets = np.array([-QUIET_S, -IMPULSE_S, IMPULSE_S, QUIET_S])
+        far, left, right, end = np.searchsorted(time_s, impulse.time_s + offsets)
+        around = np.concatenate([height[far:left], height[right:end]])
+        if left == right or not len(around):
+            return False
+        return bool(around.max() < DISTURBANCE_SHARE * height[left:right].max())
+
+    chosen = [impulse for impulse in impulses if is_isolated(impulse)]
     return chosen if len(chosen) >= 2 else impulses
 
 
-def _is_isolated(at_s: float, time_s: NDArray[np.float64], height: NDArray[np.float64]) -> bool:
-    far, left, right, end = np.searchsorted(
-        time_s, (at_s - QUIET_S, at_s - IMPULSE_S, at_s + IMPULSE_S, at_s + QUIET_S)
-    )
-    own = height[left:right]
-    around = np.concatenate([height[far:left], height[right:end]])
-    if not len(own) or not len(around):
-        return False
-    return bool(around.max() < DISTURBANCE_SHARE * own.max())
+RIVAL: Final = 0.8
+"""Share of the best map's coincidences from which on another map is a rival."""
+TRIED: Final = 24
+"""Moments, spread over the recording, for which a partner is searched, and partners tried for each:
+trying all pairs of thousands of edges takes minutes."""
+NEIGHBOURS: Final = 8
+"""Moments before and after each that show its likeliest partners."""
+
+
+def coincidences(
+    x: F64, y: F64, weight: F64 | None = None, *, tolerance_s: float, fewest: int
+) -> list[tuple[int, int]]:
+    """Return the pairs of moments that coincide under the clock offset with the most of them.
+
+    Args:
+        x: Moments on one clock [s], increasing.
+        y: Moments on the other clock [s], increasing.
+        weight: Weight of each pair, ``[len(x), len(y)]``; None for 1.
+        tolerance_s: Largest distance of a pair, besides the drift [s].
+        fewest: Least number of pairs.
+
+    Raises:
+        NoImpulseError: There are fewer pairs under each offset.
+        AmbiguousImpulsesError: Other pairs coincide about as well.
+    """
+    weight = np.ones((len(x), len(y))) if weight is None else weight
+    found = []
+    if min(len(x), len(y)) >= fewest:
+        tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64)).tolist()
+        likely = [(i, j) for i in tried for j in _likely(x, y, i, tolerance_s)]
+        found = [pairs_at(x, y, i, j, tolerance_s) for i, j in likely]
+    scored = [(sum(weight[pair] for pair in pairs), pairs) for pairs in found]
+    score, best = max(scored, key=lambda each: each[0], default=(0.0, []))
+    if len(best) < fewest:
+        raise NoImpulseError(
+            f'{len(x)} impulses or edges from the camera and {len(y)} from the reference: {fewest}'
+            ' with the same times between them are needed',
+            remedy='record both while you tap sharply on the gel, once at the beginning and once at'
+            ' the end, or external_edges and reference_edges with the trigger line connected',
+        )
+    for other_score, other in scored:
+        if len(other) >= fewest and other_score > RIVAL * score and not set(other) & set(best):
+            raise AmbiguousImpulsesError(
+                f'{len(best)} impulses or edges coincide in more than one way: leave other taps out'
+                ' and tap twice at one end, or send edges at unequal distances'
+            )
+    return best
+
+
+def _nearest(y: F64, times: F64) -> NDArray[np.int64]:
+    """Return the indices of the moments that are nearest to some times."""
+    after = np.clip(np.searchsorted(y, times), 1, len(y) - 1)
+    return np.asarray(after - ((times - y[after - 1]) < (y[after] - times)), np.int64)
+
+
+def _likely(x: F64, y: F64, i: int, tolerance_s: float) -> list[int]:
+    """Return the moments of y that are most likely moment i of x, by the moments around it."""
+    around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
+    expected = y[:, None] + around
+    distance = np.abs(y[_nearest(y, expected)] - expected)
+    meets = (distance <= tolerance_s + MAX_DRIFT * np.abs(around)).sum(axis=1)
+    return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
+
+
+def pairs_at(x: F64, y: F64, i: int, j: int, tolerance_s: float) -> list[tuple[int, int]]:
+    """Return the pairs of moments that coincide where moment i of x is moment j of y.
+
+    They are none where two moments of x have the same partner.
+
+    Args:
+        x: Moments on one clock [s].
+        y: Moments on the other clock [s], increasing.
+        i: Index into x.
+        j: Index into y.
+        tolerance_s: Largest distance of a pair, besides the drift [s].
+    """
+    expected = x - x[i] + y[j]
+    nearest = _nearest(y, expected)
+    allowed = tolerance_s + MAX_DRIFT * np.abs(x - x[i])
+    meets = np.flatnonzero(np.abs(y[nearest] - expected) <= allowed)
+    partners = nearest[meets]
+    if len(np.unique(partners)) < len(partners):
+        return []
+    return list(zip(meets.tolist(), partners.tolist(), strict=True))
 
 
 MOST_IMPULSES: Final = 24
 """Impulses of each recording that are tried, the strongest ones."""
 MATCH_S: Final = 0.02
 """Largest disagreement of a burst and a force peak that are the same tap [s]."""
-RIVAL: Final = 0.8
-"""If a second map explains this share of what the best map explains, the result is ambiguous."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImpulsePair:
-    """The same impulse in both recordings.
-
-    Attributes:
-        camera: In the events, camera clock.
-        reference: In the force, reference clock.
-        weight: How strong it is in both, 0 to 1.
-    """
-
-    camera: Impulse
-    reference: Impulse
-    weight: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Match:
-    offset_s: float
-    score: float
-    pairs: tuple[ImpulsePair, ...]
-
-
-def pair_impulses(
-    camera: list[Impulse],
-    reference: list[Impulse],
-    max_drift: float,
-) -> tuple[ImpulsePair, ...]:
-    """Pair the impulses of both recordings.
-
-    Args:
-        camera: Impulses in the events, at least two.
-        reference: Impulses in the force, at least two.
-        max_drift: Largest believable difference of clock rates.
-
-    Returns:
-        At least two pairs in the order of time.
-
-    Raises:
-        NoImpulseError: No two impulses agree.
-        AmbiguousImpulsesError: Two different maps fit about as well.
-    """
-    events, forces = _leading(camera), _leading(reference)
-    times = np.array([impulse.time_s for impulse in forces])
-    matches = []
-    for (e0, e1), (f0, f1) in product(combinations(events, 2), combinations(forces, 2)):
-        span, other = e1.time_s - e0.time_s, f1.time_s - f0.time_s
-        if abs(other - span) > max_drift * span + MATCH_S:
-            continue
-        pairs = []
-        for impulse in events:
-            at = f0.time_s + other / span * (impulse.time_s - e0.time_s)
-            nearest = int(np.argmin(np.abs(times - at)))
-            if abs(times[nearest] - at) <= MATCH_S:
-                weight = _weight(impulse, events) * _weight(forces[nearest], forces)
-                pairs.append(ImpulsePair(impulse, forces[nearest], float(np.sqrt(weight))))
-        middle = events[len(events) // 2].time_s
-        offset = f0.time_s + other / span * (middle - e0.time_s) - middle
-        matches.append(_Match(offset, sum(pair.weight for pair in pairs), tuple(pairs)))
-    if not matches:
-        raise NoImpulseError(
-            f'{len(camera)} impulses in the events and {len(reference)} in the force, but no two '
-            'with the same time between them: record both over the same two taps'
-        )
-    best = max(matches, key=lambda match: match.score)
-    for match in matches:
-        apart = abs(match.offset_s - best.offset_s)
-        if apart > 4.0 * MATCH_S and match.score > RIVAL * best.score:
-            raise AmbiguousImpulsesError(
-                f'impulses match at clock offsets of {best.offset_s:.3f} s and '
-                f'{match.offset_s:.3f} s alike: leave other taps out, or tap twice at one end so '
-                'that the pattern has one fit only'
-            )
-    return best.pairs
-
-
-def _leading(impulses: list[Impulse]) -> list[Impulse]:
-    chosen = sorted(impulses, key=lambda i: -i.strength)[:MOST_IMPULSES]
-    return sorted(chosen, key=lambda i: i.time_s)
-
-
-def _weight(impulse: Impulse, among: list[Impulse]) -> float:
-    return impulse.strength / max(other.strength for other in among)
-
-
-EVENT_GAP_S: Final = 0.02
-"""Silence of the pixels that noise makes impossible [s]: at rest a sensor gives 20 events/ms."""
-FEWEST_AT_REST: Final = 40.0
-"""Events expected in such a silence, below which it means nothing."""
 FORCE_GAP_S: Final = 0.05
 """Longest stretch without force samples [s]; after a longer one the clock may be another."""
-
-
-def mark_gaps(counts: EventCounts) -> EventCounts:
-    """Return counts in which stretches without a single event are marked as lost."""
-    bins = max(1, round(EVENT_GAP_S * 1e6 / counts.width_us))
-    if float(np.median(counts.counts)) * bins < FEWEST_AT_REST:
-        return counts
-    silent = np.concatenate([[False], counts.counts == 0, [False]])
-    turns = np.flatnonzero(np.diff(silent.astype(np.int8)))
-    found = tuple(
-        (int(first), int(end))
-        for first, end in zip(turns[::2], turns[1::2], strict=True)
-        if end - first >= bins
-    )
-    return replace(counts, lost=counts.lost + found)
-
-
-def require_continuous(t_s: NDArray[np.float64], largest_s: float = FORCE_GAP_S) -> None:
-    """Refuse force samples with a gap, behind which the clock may be another.
-
-    Args:
-        t_s: Times of the samples [s].
-        largest_s: Gap that is still believed to be lost samples only [s].
-
-    Raises:
-        GapError: Samples are further apart than that and four periods.
-    """
-    steps = np.diff(t_s)
-    worst = int(np.argmax(steps))
-    if steps[worst] > max(largest_s, 4.0 * float(np.median(steps))):
-        raise GapError(
-            f'{steps[worst]:.3f} s without force samples {t_s[worst] - t_s[0]:.2f} s into the '
-            'recording: samples were lost or the clock of the force sensor jumped; record again'
-        )
-
-
 FEWEST_SAMPLES: Final = 16
 """Samples of the force in which an impulse can be found."""
 STRONG: Final = 0.02
@@ -344,22 +336,72 @@ STRONG: Final = 0.02
 thirty times that of a tap."""
 
 
+class ImpulsePair(NamedTuple):
+    """The same impulse in both recordings.
+
+    Attributes:
+        camera: In the events, camera clock.
+        reference: In the force, reference clock.
+    """
+
+    camera: Impulse
+    reference: Impulse
+
+
+def pair_impulses(camera: list[Impulse], reference: list[Impulse]) -> list[ImpulsePair]:
+    """Pair the impulses of both recordings; return the strong pairs in the order of time.
+
+    Args:
+        camera: Impulses in the events.
+        reference: Impulses in the force.
+
+    Raises:
+        NoImpulseError: No two impulses agree, or only one of those that do is strong.
+        AmbiguousImpulsesError: Two different maps fit about as well.
+        SaturatedImpulseError: An impulse went over the range of the force sensor.
+    """
+    events, forces = (
+        sorted(sorted(each, key=lambda i: -i.strength)[:MOST_IMPULSES], key=lambda i: i.time_s)
+        for each in (camera, reference)
+    )
+    (x, y), strengths = (
+        [np.array([getattr(i, name) for i in each]) for each in (events, forces)]
+        for name in ('time_s', 'strength')
+    )
+    weight = np.sqrt(np.outer(*(each / each.max(initial=1e-9) for each in strengths)))
+    found = coincidences(x, y, weight, tolerance_s=MATCH_S, fewest=2)
+    least = STRONG * max(weight[pair] for pair in found)
+    pairs = [ImpulsePair(events[i], forces[j]) for i, j in found if weight[i, j] >= least]
+    if len(pairs) < 2:
+        raise NoImpulseError(
+            'only one strong impulse is in both recordings: tap once at the beginning and once at '
+            'the end, about equally hard'
+        )
+    for _, impulse in pairs:
+        if impulse.saturated:
+            raise SaturatedImpulseError(
+                f'the force peak {impulse.time_s:.3f} s into the recording is cut off at the range'
+                ' of the force sensor: tap more gently'
+            )
+    return pairs
+
+
 def paired_impulses(
     counts: EventCounts,
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
+    force_t_s: F64,
+    force_N: F64,
     parameters: AlignmentParameters,
     *,
     max_gap_s: float = FORCE_GAP_S,
-) -> tuple[tuple[ImpulsePair, ...], float]:
+) -> tuple[list[ImpulsePair], float]:
     """Return the synchronising impulses of both recordings, and the zero of the force's times [s].
 
     Args:
         counts: Event counts, camera clock.
         force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
         force_N: Normal force [N], either sign, ``float64``.
-        parameters: What counts as an impulse, latency of the events, limits of clocks.
-        max_gap_s: Longest stretch without force samples [s].
+        parameters: What counts as an impulse.
+        max_gap_s: Longest stretch without force samples [s], besides four periods.
 
     Raises:
         NoImpulseError: Fewer than two impulses in one recording, or none that match.
@@ -373,46 +415,19 @@ def paired_impulses(
         )
     start_s = float(np.floor(force_t_s[0]))
     time_s = force_t_s - start_s
-    require_continuous(time_s, max_gap_s)
+    steps = np.diff(time_s)
+    worst = int(np.argmax(steps))
+    if steps[worst] > max(max_gap_s, 4.0 * float(np.median(steps))):
+        raise GapError(
+            f'{steps[worst]:.3f} s without force samples {time_s[worst] - time_s[0]:.2f} s into'
+            ' the recording: samples were lost or the clock of the force sensor jumped; record'
+            ' again'
+        )
     reference = prefer_isolated(find_force_impulses(time_s, force_N, parameters), time_s, force_N)
-    camera = find_bursts(mark_gaps(counts), parameters)
-    camera = prefer_isolated(camera, *_coarse_rate(counts))
-    _require_two(reference, 'force', f'tap so that the force passes {parameters.min_force:g} N')
-    _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
-    pairs = pair_impulses(camera, reference, 1e-6 * parameters.max_drift)
-    return _synchronising(pairs), start_s
-
-
-def _coarse_rate(counts: EventCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return centres [s] and event counts of intervals of 10 ms: noise averages out, taps stay."""
-    bins = max(1, round(10_000 / counts.width_us))
+    # Over intervals of 10 ms noise averages out, and taps stay.
+    bins = 10_000 // counts.width_us
     whole = len(counts.counts) // bins
     rate = counts.counts[: whole * bins].reshape(whole, bins).sum(axis=1).astype(np.float64)
-    centres = (np.arange(whole) + 0.5) * bins * counts.width_us * 1e-6
-    return np.asarray(centres, np.float64), rate
-
-
-def _synchronising(pairs: tuple[ImpulsePair, ...]) -> tuple[ImpulsePair, ...]:
-    least = STRONG * max(pair.weight for pair in pairs)
-    strong = tuple(pair for pair in pairs if pair.weight >= least)
-    if len(strong) < 2:
-        raise NoImpulseError(
-            'only one strong impulse is in both recordings: tap once at the beginning and once at '
-            'the end, about equally hard'
-        )
-    for pair in strong:
-        if pair.reference.saturated:
-            raise SaturatedImpulseError(
-                f'the force peak {pair.reference.time_s:.3f} s into the recording is cut off at '
-                'the range of the force sensor: tap more gently'
-            )
-    return strong
-
-
-def _require_two(impulses: list[Impulse], where: str, remedy: str) -> None:
-    if len(impulses) < 2:
-        times = ', '.join(f'{impulse.time_s:.2f} s' for impulse in impulses) or 'none'
-        raise NoImpulseError(
-            f'found {len(impulses)} impulses in the {where} ({times}), two are needed: {remedy}, '
-            'once at the beginning and once at the end'
-        )
+    centres = np.arange(0.5, whole, dtype=np.float64) * bins * counts.width_us * 1e-6
+    camera = prefer_isolated(find_bursts(counts, parameters), centres, rate)
+    return pair_impulses(camera, reference), start_s

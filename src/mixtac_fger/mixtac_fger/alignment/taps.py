@@ -32,12 +32,56 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
-from mixtac_fger.alignment.errors import NoImpulseError
+from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, NoImpulseError, fit_clock
 from mixtac_fger.alignment.histories import CellEvents, FrameFeatures, Recording
-from mixtac_fger.alignment.impulses import FORCE_GAP_S, ImpulsePair, paired_impulses
+from mixtac_fger.alignment.impulses import (
+    FORCE_GAP_S,
+    ImpulsePair,
+    gaussian_smooth,
+    noise_std,
+    paired_impulses,
+    pressing_sign,
+)
 from mixtac_fger.alignment.parameters import DEFAULTS, AlignmentParameters
-from mixtac_fger.alignment.signals import even_force, pressing_sign
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SCALES_S: Final = (0.0025, 0.005, 0.010)
+"""Standard deviations of the Gaussians between which the bands of a force lie [s]."""
+CAUTION: Final = 2.5
+"""Factor on the noise power: power is estimated from few samples."""
+HALF_KERNEL: Final = 200
+"""Samples to both sides of an impulse that show the filters completely."""
+
+
+def even_force(t_s: F64, force_N: F64) -> tuple[F64, F64]:
+    """Return evenly spaced times [s] within those of the samples, and the smooth force there [N].
+
+    It is wavelet shrinkage without decimation. Quiet stretches are smoothed over many samples, so
+    that the slope of the force is known well; a band whose local power stands out of the noise, as
+    in a tap or a bounce, is kept. All filters are symmetric in time and add no delay.
+
+    Args:
+        t_s: Increasing sample times [s], ``float64 [n]``, small numbers.
+        force_N: Force [N], ``float64 [n]``.
+    """
+    period = float(np.median(np.diff(t_s)))
+    even = np.arange(t_s[0], t_s[-1], period)
+    finer = force = np.interp(even, t_s, force_N)
+    power = noise_std(force) ** 2
+    kernel = impulse = np.eye(1, 2 * HALF_KERNEL + 1, HALF_KERNEL)[0]
+    kept = np.zeros_like(force)
+    for scale_s in SCALES_S:
+        width = scale_s / period
+        coarser, wider = gaussian_smooth(force, width), gaussian_smooth(impulse, width)
+        noise = power * float(np.sum((kernel - wider) ** 2))
+        band = finer - coarser
+        local = gaussian_smooth(band**2, 2.0 * width)
+        kept += band * np.clip(1.0 - CAUTION * noise / np.maximum(local, 1e-12), 0.0, 1.0)
+        finer, kernel = coarser, wider
+    return even, finer + kept
+
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""
@@ -81,7 +125,7 @@ class TapFit(NamedTuple):
     misfit: float
 
 
-def brightening(values: NDArray[np.float32], depth: NDArray[np.float64]) -> NDArray[np.float64]:
+def brightening(values: NDArray[np.float32], depth: F64) -> F64:
     """Return weights that make the cells' change of brightness one signal, ``[cells]``.
 
     Args:
@@ -95,7 +139,7 @@ def brightening(values: NDArray[np.float32], depth: NDArray[np.float64]) -> NDAr
     return np.asarray(slope / (scatter + DARKER**2), np.float64)
 
 
-def common_course(events: CellEvents, at_us: int, cells: int) -> NDArray[np.float64]:
+def common_course(events: CellEvents, at_us: int, cells: int) -> F64:
     """Return weights under which the cells' signed events of a tap have most in common.
 
     The first singular vector of events over cells and time, which takes no frames; of either sign.
@@ -118,7 +162,7 @@ def common_course(events: CellEvents, at_us: int, cells: int) -> NDArray[np.floa
     return np.asarray(common / noise, np.float64)
 
 
-def depth_of(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
+def depth_of(force_N: F64) -> F64:
     """Return the depth under a force [N], in any unit."""
     force = np.maximum(force_N, 0.0)
     return np.asarray(np.sqrt(force + LEAST_FORCE_N) - np.sqrt(LEAST_FORCE_N))
@@ -130,9 +174,7 @@ LAG_WEIGHTS: Final = (0.26, 0.26, 0.035, 0.035, 0.03)
 """Weight of the response with each time."""
 
 
-def elastic_force(
-    t_s: NDArray[np.float64], force_N: NDArray[np.float64], at_s: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def elastic_force(t_s: F64, force_N: F64, at_s: F64) -> F64:
     """Return the elastic part of a force, which the deformation of the gel follows.
 
     The force on a layer of silicone leads its deformation: F = F_e + sum h_i with
@@ -167,14 +209,7 @@ class TapModel:
         loaded: Whether the sensor has been loaded before in the recording.
     """
 
-    def __init__(
-        self,
-        t_s: NDArray[np.float64],
-        force_N: NDArray[np.float64],
-        at_s: float,
-        *,
-        loaded: bool = False,
-    ) -> None:
+    def __init__(self, t_s: F64, force_N: F64, at_s: float, *, loaded: bool = False) -> None:
         near = (t_s > at_s - 0.15) & (t_s < at_s + 0.2)
         t, force = t_s[near] - at_s, force_N[near]
         rest = float(np.median(force[t < -0.05])) if np.any(t < -0.05) else 0.0
@@ -186,7 +221,7 @@ class TapModel:
         self._edges = np.append(fine - 0.5 * STEP_S, fine[-1] + 0.5 * STEP_S)
         self._total = np.pad(np.cumsum(classes, axis=1), ((0, 0), (1, 0)))
 
-    def fit(self, edges_s: NDArray[np.float64], signal: NDArray[np.float64]) -> TapFit:
+    def fit(self, edges_s: F64, signal: F64) -> TapFit:
         """Return when the tap shows in a signal.
 
         Args:
@@ -206,13 +241,7 @@ class TapModel:
         aside = -slope / (2.0 * bend) if bend > 0.0 else 0.0
         return TapFit(float(fine[k] + np.clip(aside, -4e-4, 4e-4)), float(left[k]) / power)
 
-    def _left(
-        self,
-        delay_s: float,
-        edges_s: NDArray[np.float64],
-        signal: NDArray[np.float64],
-        used: NDArray[np.bool_],
-    ) -> float:
+    def _left(self, delay_s: float, edges_s: F64, signal: F64, used: Bools) -> float:
         at = edges_s - delay_s
         design = np.stack([np.diff(np.interp(at, self._edges, row))[used] for row in self._total])
         from scipy.optimize import nnls
@@ -224,9 +253,7 @@ class TapModel:
         return float(left) ** 2
 
 
-def tap_signal(
-    events: CellEvents, at_us: int, weight: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def tap_signal(events: CellEvents, at_us: int, weight: F64) -> tuple[F64, F64]:
     """Return the edges of time bins around a moment [s], and the signed events in each bin.
 
     Args:
@@ -243,42 +270,40 @@ def tap_signal(
     return edges_us.astype(np.float64) * 1e-6, np.bincount(bins, size, count).astype(np.float64)
 
 
-def _events(depth: NDArray[np.float64], gain: float, *, loaded: bool) -> NDArray[np.float64]:
+def _events(depth: F64, gain: float, *, loaded: bool) -> F64:
     keep = float(np.exp(-STEP_S / PIXEL_S))
-    fired = np.asarray(_fire(gain * depth, keep, PHASES, OFF_OVER_ON, 0.0))
+    fired = np.asarray(_fire(gain * depth, keep, 0.0))
     if loaded:
-        fired = 0.5 * (fired + _fire(gain * depth, keep, PHASES, OFF_OVER_ON, gain))
+        fired = 0.5 * (fired + _fire(gain * depth, keep, gain))
     return np.asarray(fired / gain)
 
 
 @njit(cache=True, nogil=True)
-def _fire(
-    course: NDArray[np.float64], keep: float, phases: int, off: float, before: float
-) -> NDArray[np.float64]:
+def _fire(course: F64, keep: float, before: float) -> F64:
     """Return the signed events per step of pixels that start at all distances to their thresholds.
 
     A pixel follows the course, in ON thresholds, through a low-pass of first order. From where it
     starts, a load that moved it by `before`, spread by 0.6 to 1.4, has come and gone.
     """
     fired = np.zeros(len(course))
-    for phase in range(phases):
+    for phase in range(PHASES):
         value = course[0]
-        last = value + off - (1.0 + off) * (phase + 0.5) / phases
-        # A stride that is coprime to the number of phases: loads independent of the start.
-        top = value + before * (0.6 + 0.8 * (phase * 7 % phases) / phases)
+        last = value + OFF_OVER_ON - (1.0 + OFF_OVER_ON) * (phase + 0.5) / PHASES
+        # A stride that is coprime to the number of PHASES: loads independent of the start.
+        top = value + before * (0.6 + 0.8 * (phase * 7 % PHASES) / PHASES)
         while top - last >= 1.0:
             last += 1.0
-        while value - last <= -off:
-            last -= off
+        while value - last <= -OFF_OVER_ON:
+            last -= OFF_OVER_ON
         for i in range(1, len(course)):
             value = keep * value + (1.0 - keep) * course[i]
             while value - last >= 1.0:
                 last += 1.0
                 fired[i] += 1.0
-            while value - last <= -off:
-                last -= off
-                fired[i] -= off
-    return fired / phases
+            while value - last <= -OFF_OVER_ON:
+                last -= OFF_OVER_ON
+                fired[i] -= OFF_OVER_ON
+    return fired / PHASES
 
 
 BURST_LATENCY_S: Final = 0.001
@@ -323,8 +348,9 @@ def fit_taps(
     t_s, force = even_force(force_t_s - start_s, force_N)
     force = pressing_sign(force) * force
     force -= np.percentile(force, UNLOADED_PERCENT)
-    cells = int(events.cell.max(initial=0)) + 1
-    weight = _weights(pairs, counts.start_us, recording.frames, t_s, force, cells)
+    weight = _weights(pairs, counts.start_us, recording.frames, t_s, force)
+    if weight is None:
+        weight = np.zeros(int(events.cell.max(initial=0)) + 1)
     anchors = []
     for number, pair in enumerate(used):
         model = TapModel(t_s, force, pair.reference.time_s, loaded=number > 0)
@@ -338,30 +364,24 @@ def fit_taps(
             )
         at_us = expected_us + round(1e6 * (found.delay_s - 1e-3 * parameters.tap_latency))
         anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
-    fit = fit_clock(
+    return fit_clock(
         anchors,
         min_baseline_s=parameters.min_baseline,
         max_drift=1e-6 * parameters.max_drift,
         common_std_s=1e-3 * parameters.tap_latency_std,
+        drift_std=1e-6 * parameters.drift_std,
     )
-    return with_drift_prior(fit, 1e-6 * parameters.drift_std)
 
 
 def _weights(
-    pairs: tuple[ImpulsePair, ...],
-    start_us: int,
-    frames: FrameFeatures | None,
-    t_s: NDArray[np.float64],
-    force: NDArray[np.float64],
-    cells: int,
-) -> NDArray[np.float64]:
+    pairs: list[ImpulsePair], start_us: int, frames: FrameFeatures | None, t_s: F64, force: F64
+) -> F64 | None:
     """Return the weights of the cells from frames laid over the force by the coarse map.
 
-    They are 0 without enough frames.
+    They are None without enough frames.
     """
-    unknown = np.zeros(cells)
     if frames is None:
-        return unknown
+        return None
     first, last = pairs[0], pairs[-1]
     span = last.camera.time_s - first.camera.time_s
     rate = (last.reference.time_s - first.reference.time_s) / span
@@ -369,12 +389,12 @@ def _weights(
     at = first.reference.time_s + rate * (middle - first.camera.time_s + BURST_LATENCY_S)
     inside = (at > t_s[0]) & (at < t_s[-1])
     if int(inside.sum()) < FEWEST_FRAMES:
-        return unknown
+        return None
     return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
 
 
 def _delay(
-    model: TapModel, events: CellEvents, expected_us: int, weight: NDArray[np.float64]
+    model: TapModel, events: CellEvents, expected_us: int, weight: F64
 ) -> tuple[TapFit, float]:
     """Return the tap found about an expected moment, and its standard deviation [s]."""
     found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S

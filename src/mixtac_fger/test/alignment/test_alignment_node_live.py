@@ -14,8 +14,17 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
+from event_camera_msgs.msg import EventPacket
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
 from mixtac_core.events.codec import encode
+from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
+from mixtac_core.node.stamps import us_to_stamp
 from mixtac_fger.alignment.clock_fit import ClockFit
+from mixtac_msgs.msg import ClockFit as ClockFitMessage
+from mixtac_msgs.msg import FrameExposure
 from mixtac_sim.world.trial import simulate_trial
 
 if TYPE_CHECKING:
@@ -34,44 +43,18 @@ class Peer:
     """Publishes what camera and reference sensor would, and asks for the fit."""
 
     def __init__(self, graph: Any) -> None:
-        from event_camera_msgs.msg import EventPacket
-        from geometry_msgs.msg import WrenchStamped
-        from sensor_msgs.msg import Image
-
-        from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
-        from mixtac_msgs.msg import ClockFit, FrameExposure
-
+        make = graph.node.create_publisher
         self.graph = graph
-        self._publishers = {
-            name: (kind, graph.node.create_publisher(kind, name, qos))
-            for name, kind, qos in (
-                ('/mixtac/events', EventPacket, QOS_EVENTS),
-                ('/mixtac/image_raw', Image, QOS_FORCE),
-                ('/mixtac/image_exposure', FrameExposure, QOS_FORCE),
-                ('/ft_sensor/wrench', WrenchStamped, QOS_FORCE),
-            )
-        }
-        self.fits = graph.listen(ClockFit, '/mixtac/clock_fit', QOS_LATCHED)
-
-    def wait_for_node(self) -> None:
-        for _, publisher in self._publishers.values():
-            self.graph.spin_until(publisher.get_subscription_count)
+        self.events = make(EventPacket, '/mixtac/events', QOS_EVENTS)
+        self.images = make(Image, '/mixtac/image_raw', QOS_FORCE)
+        self.exposures = make(FrameExposure, '/mixtac/image_exposure', QOS_FORCE)
+        self.forces = make(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
+        self.fits = graph.listen(ClockFitMessage, '/mixtac/clock_fit', QOS_LATCHED)
+        for publisher in (self.events, self.images, self.exposures, self.forces):
+            graph.spin_until(publisher.get_subscription_count)
         time.sleep(0.5)  # the other side may not have matched yet
 
-    def send(self, topic: str, **fields: Any) -> None:
-        kind, publisher = self._publishers[topic]
-        message = kind()
-        for name, value in fields.items():
-            owner, _, leaf = name.rpartition('__')
-            target = message
-            for part in owner.split('__') if owner else ():
-                target = getattr(target, part)
-            setattr(target, leaf, value)
-        publisher.publish(message)
-
     def fit(self) -> tuple[Any, ClockFit | None]:
-        from std_srvs.srv import Trigger
-
         self.fits.clear()
         answer = self.graph.call(Trigger, '/mixtac/alignment/fit')
         if not answer.success:
@@ -88,59 +71,42 @@ class Peer:
         for number, start in enumerate(cuts):
             end = int(start) + PACKET_US
             a, b = np.searchsorted(trial.events.t, (start, end))
-            self._packet(number, trial.events[slice(int(a), int(b))], end)
+            packet = encode(trial.events[slice(int(a), int(b))], complete_until=end)
+            message = EventPacket(width=346, height=260, seq=number, encoding=packet.encoding)
+            message.time_base = packet.time_base
+            message.events.frombytes(packet.payload)
+            self.events.publish(message)
             while at_frame < len(trial.frames) and trial.exposure_end_us[at_frame] < end:
                 self._frame(trial, at_frame)
                 at_frame += 1
             until = len(trial.reference_t_us) * (number + 1) // len(cuts)
             for k in range(at_force, until):
-                stamp = stamp_of(int(trial.reference_t_us[k]) + OFFSET_US)
-                force = float(trial.reference_wrench[k, 2])
-                self.send('/ft_sensor/wrench', header__stamp=stamp, wrench__force__z=force)
+                force = WrenchStamped()
+                force.header.stamp = us_to_stamp(int(trial.reference_t_us[k]) + OFFSET_US)
+                force.wrench.force.z = float(trial.reference_wrench[k, 2])
+                self.forces.publish(force)
             at_force = until
             time.sleep(pause_s)
 
-    def _packet(self, number: int, events: Any, until: int) -> None:
-        packet = encode(events, complete_until=until)
-        kind, publisher = self._publishers['/mixtac/events']
-        message = kind(
-            width=346, height=260, seq=number, time_base=packet.time_base, encoding=packet.encoding
-        )
-        message.events.frombytes(packet.payload)
-        publisher.publish(message)
-
     def _frame(self, trial: Trial, k: int) -> None:
         start, end = int(trial.exposure_start_us[k]), int(trial.exposure_end_us[k])
-        stamp = stamp_of((start + end) // 2)
-        kind, publisher = self._publishers['/mixtac/image_raw']
-        image = kind(height=260, width=346, encoding='mono16', step=692)
-        image.header.stamp = stamp
+        times = {'exposure_start': us_to_stamp(start), 'exposure_end': us_to_stamp(end)}
+        exposure = FrameExposure(**times)
+        image = Image(height=260, width=346, encoding='mono16', step=692)
+        image.header.stamp = exposure.header.stamp = us_to_stamp((start + end) // 2)
         image.data.frombytes((trial.frames[k] << 6).astype('<u2').tobytes())
-        publisher.publish(image)
-        self.send(
-            '/mixtac/image_exposure',
-            header__stamp=stamp,
-            exposure_start=stamp_of(start),
-            exposure_end=stamp_of(end),
-        )
+        self.images.publish(image)
+        self.exposures.publish(exposure)
 
 
 OFFSET_US = 20_000_000
 """Keeps the reference clock's stamps positive."""
 
 
-def stamp_of(t_us: int) -> Any:
-    """Return a time [us] as a stamp."""
-    from builtin_interfaces.msg import Time
-
-    return Time(sec=t_us // 1_000_000, nanosec=t_us % 1_000_000 * 1000)
-
-
 def test_a_trial_with_frames_is_aligned(node_under_test: Any) -> None:
     node_under_test.start('mixtac_fger.alignment.alignment_node')
     peer = Peer(node_under_test)
     trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)
-    peer.wait_for_node()
     refused, _ = peer.fit()
     assert not refused.success
     for pause_s in PAUSES_S:

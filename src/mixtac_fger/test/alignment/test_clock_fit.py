@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_fger.alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
-from mixtac_fger.alignment.errors import (
+from mixtac_fger.alignment.clock_fit import (
     AlignmentError,
+    Anchor,
+    ClockFit,
     DriftError,
-    NoImpulseError,
     ShortBaselineError,
+    fit_clock,
 )
 
 EPOCH_US = 1_700_000_000_000_000
@@ -86,33 +87,23 @@ def test_uncertainty_is_that_of_the_anchors_and_grows_outside() -> None:
 
 
 def test_least_squares_agrees_with_a_plain_solution_and_its_covariance_with_scatter() -> None:
-    rng = np.random.default_rng(1)
-    std = 1e-3
-    errors_a = []
-    z = []
+    rng, at, z = np.random.default_rng(1), EPOCH_US + 30_000_000, []
     for _ in range(300):
         t_us = EPOCH_US + np.sort(rng.integers(0, 60_000_000, 8))
         t_us[-1] = t_us[0] + 50_000_000
         since = (t_us - EPOCH_US) * 1e-6
-        truth = 100.0 + (1.0 + 5e-5) * since
-        reference = truth + rng.normal(0.0, std, 8)
-        fit = fit_clock(
-            [Anchor(int(t), float(r), std) for t, r in zip(t_us, reference, strict=True)]
-        )
-        slope, _ = np.polyfit(since, reference, 1)
-        errors_a.append(abs(fit.a - slope))
-        at = EPOCH_US + 30_000_000
+        reference = 100.0 + (1.0 + 5e-5) * since + rng.normal(0.0, 1e-3, 8)
+        anchors = map(Anchor, t_us.tolist(), reference.tolist(), [1e-3] * 8)
+        fit = fit_clock([*anchors])
+        assert abs(fit.a - np.polyfit(since, reference, 1)[0]) < 1e-10
         z.append((float(fit.to_reference(at)) - 130.0 - 5e-5 * 30.0) / float(fit.std_at(at)))
-    assert max(errors_a) < 1e-10
     assert fit.method == 'least_squares'
     assert 0.75 < np.std(z) < 1.1
 
 
 def test_covariance_grows_when_anchors_scatter_more_than_they_claim() -> None:
-    times = [0, 10, 20, 30, 40]
     scatter = [0.004, -0.004, 0.004, -0.004, 0.004]
-    claimed = [Anchor(t * 1_000_000, t + s, 1e-4) for t, s in zip(times, scatter, strict=True)]
-    fit = fit_clock(claimed)
+    fit = fit_clock([Anchor(10_000_000 * k, 10 * k + s, 1e-4) for k, s in enumerate(scatter)])
     assert float(fit.std_at(20_000_000)) > 1e-3
     assert fit.residual_rms_s == pytest.approx(0.004, rel=0.1)
 
@@ -129,8 +120,6 @@ def test_the_uncertainty_covers_a_drift_that_changes_in_an_hour() -> None:
 
 
 def test_refusals_name_the_reason() -> None:
-    with pytest.raises(NoImpulseError):
-        fit_clock([Anchor(0, 0.0, 1e-3)])
     with pytest.raises(ShortBaselineError):
         fit_clock([Anchor(0, 0.0, 1e-3), Anchor(500_000, 0.5, 1e-3)])
     with pytest.raises(ShortBaselineError):
@@ -151,10 +140,8 @@ def test_a_prior_of_the_drift_is_one_more_measurement(
     std_s = rng.uniform(2e-4, 1e-3, len(errors_s))
     camera_us = 1_000_000 * np.arange(len(errors_s)) * 10 + 12_345_678
     reference_s = 100.0 + 1e-6 * camera_us + np.array(errors_s)
-    fit = fit_clock(
-        [Anchor(*each) for each in zip(camera_us.tolist(), reference_s, std_s, strict=True)],
-        max_drift=1.0,
-    )
+    anchors = [Anchor(*each) for each in zip(camera_us.tolist(), reference_s, std_s, strict=True)]
+    fit = fit_clock(anchors, max_drift=1.0)
     # Anchors that scatter widen the covariance; what follows takes it as it is.
     free = max(len(errors_s) - 2, 1)
     wider = max(1.0, float(np.sum((fit.residuals_s / std_s) ** 2)) / free)
@@ -163,7 +150,7 @@ def test_a_prior_of_the_drift_is_one_more_measurement(
     seen = (reference_s - fit.reference_epoch_s) / (std_s * np.sqrt(wider))
     rows = np.vstack([rows, [1e6 / std_ppm, 0.0]])
     wanted = np.linalg.lstsq(rows, np.append(seen, 1e6 / std_ppm), rcond=None)[0]
-    found = with_drift_prior(fit, 1e-6 * std_ppm)
+    found = fit_clock(anchors, max_drift=1.0, drift_std=1e-6 * std_ppm)
     assert [found.a - 1.0, found.b] == pytest.approx([wanted[0] - 1.0, wanted[1]], abs=1e-8)
     assert found.covariance == pytest.approx(np.linalg.inv(rows.T @ rows), rel=1e-4, abs=1e-14)
     assert found.residuals_s == pytest.approx(reference_s - found.to_reference(camera_us), abs=1e-9)
@@ -184,6 +171,8 @@ def test_maps_come_back_exactly(seconds: list[int], drift: float, offset: float)
     assert np.array_equal(back.to_reference(times), fit.to_reference(times))
     assert np.array_equal(back.std_at(times), fit.std_at(times))
     assert back.method == fit.method
+    stamps = np.round(1e9 * fit.to_reference(times)).astype(np.int64)
+    assert np.abs(fit.stamp_to_camera_us(stamps) - times).max() < 1.0
     assert [a.camera_us for a in back.anchors] == [a.camera_us for a in fit.anchors]
     assert back.residual_rms_s == pytest.approx(fit.residual_rms_s)
 
@@ -193,31 +182,12 @@ def test_maps_come_back_exactly(seconds: list[int], drift: float, offset: float)
     [
         ('a', 0.0),
         ('a', float('nan')),
-        ('a', 10**400),
         ('b', float('inf')),
-        ('camera_epoch', 1e308),
-        ('camera_epoch', 1e15),
         ('camera_anchors', [float('nan'), 9.0]),
-        ('camera_anchors', [1.0]),
-        ('camera_anchors', None),
         ('reference_anchors', ['soon', 'later']),
-        ('residuals', {}),
-        ('residuals', ['none']),
-        ('reference_anchors', 3),
-        ('reference_anchors', [float('nan'), 1.0]),
-        ('camera_anchors', [None, 1.0]),
     ],
 )
 def test_fields_that_are_no_map_are_refused(name: str, value: object) -> None:
     fields = fit_clock([Anchor(0, 7.5, 1e-3), Anchor(9_000_000, 16.5, 1e-3)]).to_fields()
     with pytest.raises(AlignmentError):
         ClockFit.from_fields({**fields, name: value})
-
-
-def test_stamps_far_from_zero_are_placed_exactly() -> None:
-    camera = 1_800_000_000_000_000 + np.array([0, 10_000_000])
-    seconds = (1 + 1e-4) * (camera - camera[0]) / 1e6 - 0.5
-    pairs = zip(camera.tolist(), (1_700_000_000 + seconds).tolist(), strict=True)
-    fit = fit_clock([Anchor(camera_us, reference_s, 1e-3) for camera_us, reference_s in pairs])
-    stamps = np.round(seconds * 1e9).astype(np.int64) + 1_700_000_000_000_000_000
-    assert np.abs(fit.stamp_to_camera_us(stamps) - camera).max() < 1.0

@@ -6,25 +6,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS')
 pytest.importorskip('geometry_msgs.msg', reason='needs ROS')
-
-from mixtac_fger.alignment.force_error_node import RunningError
-
-
-def test_errors_are_those_of_the_latest_pairs_of_numbers() -> None:
-    errors = np.random.default_rng(1).normal(0.0, 0.1, 400)
-    running = RunningError(100)
-    assert (running.pairs, running.mae, running.rmse) == (0, 0.0, 0.0)
-    for k, error in enumerate(errors):
-        running.push(k + error, float(k))
-        running.push(1.25, float('nan'))
-    assert running.pairs == 100
-    assert running.mae == pytest.approx(np.abs(errors[-100:]).mean())
-    assert running.rmse == pytest.approx(np.sqrt(np.mean(errors[-100:] ** 2)))
 
 
 @pytest.mark.dds

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,19 +13,18 @@ from hypothesis import strategies as st
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.packets import DecodedPacket
+from mixtac_fger.alignment.clock_fit import GapError
 from mixtac_fger.alignment.histories import (
     BATCH,
-    FRAMES_PER_S,
+    WAITING,
     EventHistory,
-    ForceHistory,
     FrameHistory,
     by_cell,
-    reduce_frame,
+    force_arrays,
 )
 
 SIZE = (346, 260)
 EPOCH_US = 1_700_000_000_000_000
-SPAN_NS = 2_000_000_000
 
 
 def events_at(t_us) -> Events:
@@ -51,7 +52,7 @@ def test_counts_are_those_of_the_latest_complete_bins(
         assert not add(history, t[a:b], int(t[b - 1]), seq)
     until = int(t[-1]) + 500
     add(history, [], until, len(borders) + 1)
-    counts = history.counts()
+    counts, _ = history.snapshot()
     assert len(counts.counts) <= 100
     end = counts.start_us + 500 * len(counts.counts)
     assert until - 500 < end <= until + 500
@@ -74,7 +75,7 @@ def test_batches_hold_every_event_and_mark_what_was_lost() -> None:
             kept.append(part)
             assert not history.add(DecodedPacket(part, start_us + 1000), seq, *SIZE)
     every = Events.concatenate(kept)
-    found, counts = history.events(), history.counts()
+    counts, found = history.snapshot()
     assert found.t_us.tolist() == every.t.tolist()
     assert found.on.tolist() == every.polarity.tolist()
     assert found.cell.tolist() == by_cell(every, *SIZE).cell.tolist()
@@ -95,27 +96,22 @@ def test_a_clock_that_jumps_and_a_driver_that_starts_anew_empty_the_history(
     history = EventHistory(60.0)
     add(history, [5_000_100], 5_001_000, 41)
     assert add(history, [until_us - 400], until_us, seq)
-    assert history.events().t_us.tolist() == [until_us - 400]
-    assert history.restarts == 1
+    assert history.snapshot()[1].t_us.tolist() == [until_us - 400]
 
 
-def test_events_by_cell_are_bounded_and_what_is_dropped_is_counted() -> None:
+def test_the_latest_events_are_kept_and_counted() -> None:
     history = EventHistory(span_s=1.0, most=250)
+    counts, events = history.snapshot()
+    assert not counts.counts.any()
+    assert len(events.t_us) == 0
     for k in range(5 * BATCH):
         add(history, [k], k + 1, k)
-    assert len(history.events().t_us) == BATCH
-    assert history.dropped == 4 * BATCH
+    counts, events = history.snapshot()
+    assert len(events.t_us) == BATCH
     # Counts go as far back as the events.
-    assert history.counts().counts.tolist() == [0]
+    assert counts.counts.tolist() == [0]
     add(history, [3_000_000], 3_000_001, 5 * BATCH)
-    assert history.events().t_us.tolist() == [3_000_000]
-    assert history.dropped == 4 * BATCH
-
-
-def test_nothing_seen_is_nothing_counted() -> None:
-    history = EventHistory(span_s=1.0)
-    assert not history.counts().counts.any()
-    assert len(history.events().t_us) == 0
+    assert history.snapshot()[1].t_us.tolist() == [3_000_000]
 
 
 @given(x=st.lists(st.integers(0, 345), min_size=1, max_size=50), y=st.integers(0, 259))
@@ -129,65 +125,58 @@ def test_events_fall_into_the_cells_of_the_frames(x: list[int], y: int) -> None:
         assert len(by_cell(events, *size).cell) == n
 
 
-def test_frames_are_bounded_in_time_and_number() -> None:
+def image(stamp_us: int, size: int = 20) -> SimpleNamespace:
+    header = SimpleNamespace(stamp=stamp(stamp_us))
+    data = bytes([stamp_us % 251]) * size**2
+    return SimpleNamespace(
+        header=header, height=size, width=size, step=size, encoding='mono8', data=data
+    )
+
+
+def exposure(stamp_us: int, length_us: int = 100) -> SimpleNamespace:
+    times = {'exposure_start': stamp(stamp_us), 'exposure_end': stamp(stamp_us + length_us)}
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp(stamp_us)), **times)
+
+
+def stamp(t_us: int) -> SimpleNamespace:
+    return SimpleNamespace(sec=t_us // 1_000_000, nanosec=t_us % 1_000_000 * 1000)
+
+
+def test_images_are_joined_with_their_exposures_and_bounded_in_time() -> None:
     history = FrameHistory(1.0)
     assert history.snapshot() is None
-    for k in range(300):
-        history.push(40_000 * k, 40_000 * k + 100, np.full(4, k, np.float32))
+    for k in range(100):
+        history.add_image(image(40_000 * k))
+        if k % 2:
+            history.add_exposure(exposure(40_000 * k))
     frames = history.snapshot()
     assert frames is not None
-    assert 24 <= len(frames.start_us) <= 26
-    assert frames.values[:, 0].tolist() == list(range(300 - len(frames.start_us), 300))
-    for k in range(300):
-        history.push(12_000_000 + 10 * k, 12_000_005 + 10 * k, np.zeros(4, np.float32))
+    assert np.diff(frames.start_us).tolist() == [80_000] * (len(frames.start_us) - 1)
+    assert (frames.end_us == frames.start_us + 100).all()
+    assert frames.start_us[-1] - 1_000_000 <= frames.start_us[0] <= frames.start_us[-1] - 920_000
+    # An image that waited too long has no partner any more.
+    late = 40_000 * (98 - 2 * WAITING)
+    history.add_exposure(exposure(late))
     frames = history.snapshot()
     assert frames is not None
-    assert len(frames.start_us) == FRAMES_PER_S
+    assert late not in frames.start_us
 
 
-@pytest.mark.parametrize(
-    ('start_us', 'size', 'kept'), [(3000, 5, [3000]), (7, 4, [7]), (3000, 4, [1000, 3000])]
-)
-def test_frames_of_another_size_or_clock_begin_anew(
-    start_us: int, size: int, kept: list[int]
-) -> None:
+def test_frames_of_another_size_without_cells_or_without_times_are_left_out() -> None:
     history = FrameHistory(10.0)
-    history.push(1000, 2000, np.zeros(4, np.float32))
-    history.push(start_us, start_us + 5, np.zeros(size, np.float32))
-    # Neither a picture below a cell nor one without exposure times counts.
-    history.push(9000, 9000, np.zeros(size, np.float32))
-    history.push(9000, 9100, reduce_frame(np.zeros((260, 9), np.uint8), 255.0))
+    for stamp_us, size, length_us in ((1, 20, 9), (2, 30, 9), (3, 30, 0), (4, 9, 9), (5, 30, 9)):
+        history.add_exposure(exposure(stamp_us, length_us))
+        history.add_image(image(stamp_us, size))
     frames = history.snapshot()
     assert frames is not None
-    assert frames.start_us.tolist() == kept
+    assert frames.start_us.tolist() == [2, 5]
 
 
-@given(steps=st.lists(st.integers(-3, 300_000_000), max_size=20), capacity=st.integers(1, 10))
-def test_the_latest_increasing_samples_of_the_force_are_kept(
-    steps: list[int], capacity: int
-) -> None:
-    history = ForceHistory(span_s=2.0, capacity=capacity)
-    kept: list[int] = []
-    now = 1_700_000_000_000_000_000
-    for i, step in enumerate(steps):
-        now += step
-        new = not kept or now // 1000 > kept[-1] // 1000
-        assert history.push(now, (float(i), 0.0, now / 1e9)) == new
-        if new:
-            kept.append(now)
-    t, force = history.snapshot('z')
-    recent = [k for k in kept[-capacity:] if k >= kept[-1] - SPAN_NS]
-    assert np.array_equal(t, np.array(recent, np.int64) / 1e9)
-    assert np.array_equal(force, t)
-    assert history.refused == len(steps) - len(kept)
-
-
-def test_a_force_clock_that_is_set_back_starts_over() -> None:
-    history = ForceHistory(span_s=10.0, capacity=100)
-    history.push(5_000_000_000, (1.0, 2.0, 3.0))
-    for t_ns, force in ((5_100_000_000, float('nan')), (0, 1.0), (5_000_000_000, 1.0)):
-        assert not history.push(t_ns, (1.0, force, 3.0))
-    assert (len(history.snapshot('x')[0]), history.refused, history.restarts) == (1, 3, 0)
-    assert history.push(100, (4.0, 5.0, 6.0))
-    t, force = history.snapshot('y')
-    assert (t.tolist(), force.tolist(), history.restarts) == ([1e-7], [5.0], 1)
+def test_force_samples_are_sorted_and_those_without_stamp_or_number_left_out() -> None:
+    samples = [(2_000_000, 2.0), (0, 9.0), (3_000_000, np.nan), (1_000_000, 1.0), (2_000_000, 7.0)]
+    t_s, force = force_arrays(samples)
+    assert t_s.tolist() == [0.001, 0.002]
+    assert force.tolist() == [1.0, 2.0]
+    assert [len(each) for each in force_arrays([])] == [0, 0]
+    with pytest.raises(GapError):
+        force_arrays([(5_000_000_000, 1.0), (3_000_000_000, 1.0)])

@@ -13,7 +13,13 @@ import pytest
 
 from mixtac_fger.alignment import taps
 from mixtac_fger.alignment.histories import CellEvents
-from mixtac_fger.alignment.taps import TapModel, brightening, common_course, tap_signal
+from mixtac_fger.alignment.taps import (
+    TapModel,
+    brightening,
+    common_course,
+    even_force,
+    tap_signal,
+)
 
 CELLS = 60
 
@@ -118,12 +124,8 @@ def test_without_frames_the_cells_common_course_times_the_tap() -> None:
 
 def test_events_of_another_course_are_left_over() -> None:
     rng = np.random.default_rng(5)
-    n = 5000
-    noise = CellEvents(
-        np.sort(rng.integers(900_000, 1_150_000, n)),
-        rng.integers(0, CELLS, n).astype(np.uint16),
-        rng.random(n) < 0.5,
-    )
+    times, cells = np.sort(rng.integers(900_000, 1_150_000, 5000)), rng.integers(0, CELLS, 5000)
+    noise = CellEvents(times, cells.astype(np.uint16), rng.random(5000) < 0.5)
     assert model_of(0.03).fit(*tap_signal(noise, 1_000_000, rng.normal(size=CELLS))).misfit > 0.65
 
 
@@ -136,3 +138,13 @@ def test_cells_that_follow_the_depth_weigh_more_than_noise() -> None:
     weight = brightening(values.astype(np.float32), depth)
     assert weight[0] > 0.0 > weight[1]
     assert abs(weight[2]) < 0.1 * abs(weight[1])
+
+
+def test_noise_goes_and_a_tap_stays_where_it_was() -> None:
+    t = np.arange(0.0, 4.0, 1.25e-3)
+    tap = 2.0 * np.exp(-0.5 * ((t - 2.0) / 0.006) ** 2)
+    even, force = even_force(t, tap + np.random.default_rng(0).normal(0.0, 0.02, len(t)))
+    assert np.allclose(np.diff(even), 1.25e-3)
+    assert np.std((force - np.interp(even, t, tap))[even < 1.8]) < 0.006
+    assert force.max() == pytest.approx(2.0, abs=0.1)
+    assert even[np.argmax(force)] == pytest.approx(2.0, abs=2e-3)

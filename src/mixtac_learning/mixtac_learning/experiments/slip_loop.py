@@ -155,7 +155,7 @@ class SensedForce:
             self._push(frame)
         if reference is not None and reference.array is not None:
             # The contact of the grasp begins without having been seen: a stored reference.
-            self.estimator.use_reference(reference.array)
+            reference.use(reference.array)
 
     def advance(
         self, events: Events, frames: Iterable[ApsFrame], until_us: int

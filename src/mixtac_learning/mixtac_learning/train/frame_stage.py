@@ -37,7 +37,7 @@ class Sequences:
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_inputs`.
         frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
-        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9 or 0].
+        frame_moments: Moments of each frame (`mixtac_fger.shear`), float32 [N, 9 or 0].
         frame_force: Mean label per exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         frame_trial: Which trial each frame belongs to, int64 [N].

@@ -197,7 +197,7 @@ class Sample:
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
         frame_inputs: float16 [N, channels, rows, columns].
-        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9 or 0].
+        frame_moments: Moments of each frame (`mixtac_fger.shear`), float32 [N, 9 or 0].
         frame_force: Mean label over each exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.

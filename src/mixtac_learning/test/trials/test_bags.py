@@ -15,8 +15,7 @@ from mixtac_core.recordings.bag import BagFile
 from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.bags import write_fit
-from mixtac_fger.alignment.clock_fit import Anchor, fit_clock
-from mixtac_fger.alignment.errors import AlignmentError
+from mixtac_fger.alignment.clock_fit import AlignmentError, Anchor, fit_clock
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.trials.bags import (
     BagSource,

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""When the zero may be renewed, and how its drift is followed."""
+"""Stored no-contact references, when the zero may be renewed, and how its drift is followed."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +12,14 @@ from toy_sensor import SOUND
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.reference import CONTACT, REST_FRAMES, Reference, TareError, Zero
+from mixtac_fger.reference import (
+    CONTACT,
+    REST_FRAMES,
+    Reference,
+    ReferenceFileError,
+    TareError,
+    Zero,
+)
 from mixtac_fger.validity import PictureFigures
 
 
@@ -97,3 +106,52 @@ def test_drift_is_the_mean_force_at_rest(reference):
         zero.frame(free, 0.0, light=True)
     assert zero.due
     assert abs(zero.drift) < 0.02
+
+
+@pytest.fixture
+def stored() -> Reference:
+    stored = Reference(FgerConfig())
+    shape = FgerConfig().frame_shape
+    stored.use(np.random.default_rng(0).normal(size=shape).astype(np.float32))
+    return stored
+
+
+def test_a_reference_comes_back_as_it_was(tmp_path, stored):
+    path = tmp_path / 'new' / 'reference.npz'
+    for factor in (1, 2):
+        stored.use(stored.array * np.float32(factor))
+        stored.save(path)
+        other = Reference(FgerConfig())
+        found = other.load(path)
+        assert found.dtype == np.float32
+        assert np.array_equal(found, stored.array)
+        assert np.array_equal(other.array, stored.array)
+    assert [file.name for file in path.parent.iterdir()] == ['reference.npz']
+    with pytest.raises(ReferenceFileError):
+        Reference(replace(FgerConfig(), log_floor=0.1)).load(path)
+
+
+def test_damaged_files_are_refused(tmp_path, stored):
+    path = tmp_path / 'reference.npz'
+    stored.save(path)
+    data = path.read_bytes()
+    for content in (*(data[: len(data) * k // 20] for k in range(20)), b'no archive at all'):
+        path.write_bytes(content)
+        with pytest.raises(ReferenceFileError) as caught:
+            stored.load(path)
+        assert '~/tare' in caught.value.remedy
+    nowhere = stored.array.copy()
+    nowhere[3, 4] = np.nan
+    for wrong in (nowhere, nowhere[1:] * 0.0):
+        stored.use(wrong)
+        stored.save(path)
+        with pytest.raises(ReferenceFileError):
+            stored.load(path)
+
+
+def test_a_reference_that_cannot_be_saved_is_a_clear_error(tmp_path, stored):
+    with pytest.raises(ReferenceFileError):
+        Reference(FgerConfig()).save(tmp_path / 'reference.npz')
+    (tmp_path / 'file').write_bytes(b'')
+    with pytest.raises(ReferenceFileError):
+        stored.save(tmp_path / 'file' / 'reference.npz')
