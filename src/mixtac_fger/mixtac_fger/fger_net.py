@@ -65,7 +65,7 @@ BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
 but never two frames in a row."""
 UNCONFIRMED_SHARE = 0.3
-"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum."""
+"""Standard deviation of increments that no frame has confirmed yet, as a part of their sum."""
 TIMING_WINDOWS = 4.0
 """Standard deviation of the time of a force [windows]."""
 SLOPE_WINDOWS = 5
@@ -281,6 +281,7 @@ class FgerEstimator(Estimator):
         config: Network configuration.
         parameters: Number of trained parameters.
         operations: Floating-point operations per frame interval of 40 ms (2 per multiply-add).
+        path: The recurrent network, and the gain of its increments.
 
     Raises:
         ModelError: As `checked_config`.
@@ -301,7 +302,7 @@ class FgerEstimator(Estimator):
         self._scratch = row_scratch(config)
         self._preparation = FramePreparation(config)
         self._encoding = threading.Lock()
-        self._path = RecurrentPath(config, model.tensors)
+        self.path = RecurrentPath(config, model.tensors)
         self._window_features = WindowFeatures(config)
         self._features, self._no_events = np.zeros((2, *self._window_features.shape), np.float32)
         self._guide: EventGuide | None = None
@@ -358,14 +359,14 @@ class FgerEstimator(Estimator):
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""
         if self._vibration.active:
-            then = self._path.mean(lag, EXPOSED_WINDOWS)
+            then = self.path.mean(lag, EXPOSED_WINDOWS)
             self._pending_n += self._vibration.correct(frame.force - then)
         else:
             # In a blow the frame is a mixture of forces, and no force at its centre.
-            self._passed = not self._passed and self._path.blow(lag, BLOW_WINDOWS)
+            self._passed = not self._passed and self.path.blow(lag, BLOW_WINDOWS)
             if self._passed:
                 return
-            self._pending_n += self._path.correct(frame.content.feature, lag)
+            self._pending_n += self.path.correct(frame.content.feature, lag)
         self._pending_windows = SPREAD_WINDOWS
         self._see(frame.content)
         if self._shear is not None:
@@ -374,7 +375,7 @@ class FgerEstimator(Estimator):
     def _see(self, content: _Content) -> None:
         """Let events be read by a frame from now on."""
         self._guide = content.guide
-        self._path.see(content.feature)
+        self.path.see(content.feature)
 
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
@@ -382,7 +383,7 @@ class FgerEstimator(Estimator):
         self._vibration.clear()
         # A start at zero would take several frames to recover from, if in contact.
         self._see(frame.content)
-        self._path.start_at(frame.force)
+        self.path.start_at(frame.force)
         self._output = frame.force
         if self._shear is not None:
             self._shear.clear()
@@ -390,24 +391,23 @@ class FgerEstimator(Estimator):
 
     def change_sensor(self) -> None:
         """Forget what was learned of the sensor."""
-        self._path.change_sensor()
+        self.path.change_sensor()
 
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:  # noqa: ARG002
         """Advance by one window; returns force and standard deviation [N]."""
         assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
         light = self._window_features.compute(events, self._guide, self._features)
-        path, vibration = self._path, self._vibration
-        before, vibrated = path.force, vibration.active
+        path, vibration = self.path, self._vibration
+        vibrated = vibration.active
+        increment = path.step(self._no_events if light else self._features)
         if vibrated:
             # Frames lead the mean, and correct the path no more.
             path.confirm()
-        features = self._no_events if light else self._features
-        force = path.step(features)
-        deviation = path.deviation
+        force, deviation = path.force, path.deviation
         if deviation is not None:
-            unconfirmed = UNCONFIRMED_SHARE * path.unconfirmed
+            unconfirmed = UNCONFIRMED_SHARE * path.moved
             deviation = math.hypot(deviation, self._rest_deviation, unconfirmed)
-        vibration.step(force - before)
+        vibration.step(increment)
         if vibration.active and not vibrated:
             # The network has forgotten the frames.
             self._pending_n = 0.0
@@ -418,7 +418,7 @@ class FgerEstimator(Estimator):
             if not vibration.active:
                 path.shift(vibration.end())
         if self._shear is not None:
-            self._shear.step(features)
+            self._shear.step(self._no_events if light else self._features)
         if self._pending_n:
             self._follow(math.inf if deviation is None else SPREAD_DEVIATIONS * deviation)
         before, self._output = self._output, force - self._pending_n
@@ -438,6 +438,6 @@ class FgerEstimator(Estimator):
         """Forget the recurrent state."""
         self._pending_n = self._output = self._slope = 0.0
         self._vibration.clear()
-        self._path.clear()
+        self.path.clear()
         if self._shear is not None:
             self._shear.clear()

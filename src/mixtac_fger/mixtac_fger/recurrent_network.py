@@ -3,8 +3,8 @@
 """The recurrent path and the uncertainty head, compiled: they run 500 times a second.
 
 Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against. Only `EventResponse` is not part of it: it is fitted to
-the sensor at run time.
+the reference that this is tested against. Only `EventGain` is not part of it: it is fitted to the
+sensor at run time.
 """
 
 from __future__ import annotations
@@ -77,10 +77,6 @@ class StepState(NamedTuple):
         gates: Scratch.
         increment_hidden: Scratch.
         context: Contribution of the latest frame to `increment_hidden`, bias included.
-        response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
-            slow increments that complete half a reversal [N]. See `EventResponse`.
-        increments: Sums of the slow and of the fast increments of the network [N], and the
-            direction of motion, -1 to 1; float64, [3].
     """
 
     hidden: F32
@@ -92,8 +88,6 @@ class StepState(NamedTuple):
     gates: F32
     increment_hidden: F32
     context: F32
-    response: F32
-    increments: NDArray[np.float64]
 
 
 def step_weights(tensors: Tensors) -> StepWeights:
@@ -139,23 +133,17 @@ def deviation_weights(tensors: Tensors) -> HeadWeights:
     return head_weights(tensors, 'deviation.hidden', 'deviation.output', 'deviation.scale')
 
 
-FAST_INCREMENT = 0.1
-"""Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
-BLOW_N = 0.5
-"""Range of the sum of fast increments within an exposure from which on there was a blow [N]."""
-REVERSAL_N = 0.03
-"""Increments after which half of the pixels have followed a reversal [N]."""
+BLOW_N = 1.0
+"""Range of the sum of increments around an exposure from which on there was a blow [N]."""
 
 
-def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
-    """Return a state at zero with its scratch memory; for `unit` see `FgerConfig.force_unit`."""
+def step_state(weights: StepWeights) -> StepState:
+    """Return a state at zero with its scratch memory."""
     hidden, output = weights.event_hidden.shape[1], weights.event_output.shape[1]
     lstm, increment = weights.gates_hidden.shape[0], weights.increment_hidden.shape[1]
     inputs = weights.event_hidden.shape[0]
     sizes = (lstm, lstm, 1, inputs, hidden, output, 4 * lstm, increment, increment)
-    scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
-    response = np.array([1.0, 0.0, unit * FAST_INCREMENT, unit * REVERSAL_N], np.float32)
-    return StepState._make([*scratch, response, np.zeros(3)])
+    return StepState._make(np.zeros(size, np.float32) for size in sizes)
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})
@@ -180,8 +168,8 @@ def _sigmoid(value: np.float32) -> Any:  # noqa: ANN401
 
 
 @njit(cache=True, nogil=True)
-def advance(features: F32, weights: StepWeights, state: StepState) -> None:
-    """Update hidden, cell and force by one window.
+def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # noqa: ANN401
+    """Update hidden, cell and force by one window, and return the increment of the force [N].
 
     Args:
         features: Grid features, float32 [grid rows, grid columns, 4].
@@ -218,14 +206,8 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
-    gain, play, fast, reversal = state.response
-    slow = total / (np.float32(1.0) + (total / fast) ** 2)
-    direction = min(max(state.increments[2] + slow / reversal, -1.0), 1.0)
-    turned = direction - state.increments[2]
-    state.increments[0] += slow
-    state.increments[1] += total - slow
-    state.increments[2] = direction
-    state.force[0] += total + (gain - np.float32(1.0)) * slow + play * turned
+    state.force[0] += total
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -261,76 +243,55 @@ def deviation(state: F32, force: float, moved: float, weights: HeadWeights) -> A
     return weights.scale[0] * np.exp(bounded)
 
 
-class EventResponse:
-    r"""The response of events to force, measured with frames: its gain and its play.
+class EventGain:
+    r"""The gain of a sensor's events, measured with its frames.
 
-    Contrast thresholds, gels and beads differ from sensor to sensor, and so does the sum of the
-    increments from events for the same change of force. Events also have play, like a worn gear:
-    after a reversal, a pixel is silent until the contrast has changed by one or two thresholds, so
-    the events lag behind the force. From one frame to the next,
+    Contrast thresholds, gels and beads differ from sensor to sensor, and so does the sum A of the
+    increments from events for the same change of force. From one frame to the next,
 
-    .. math:: \Delta F - B = g A + p \, \Delta s,
+    .. math:: \Delta F = g A,
 
-    where F is the corrected force at the centre of the exposure, A the sum of the slow increments
-    between the two centres and B that of the fast ones. s is the direction of the motion: it
-    follows the increments, `REVERSAL_N` from the middle to an end, and stops at -1 and 1. g and p
-    are estimated by least squares with the forgetting factor `KEPT` per frame. The prior is g = 1
-    and p = 0, with the weight of a change of `PRIOR_N` and of the square root of `PRIOR_TURNS` half
-    reversals, so that noise or wrong events have little effect. Blows are not used: their events
-    saturate, and no frame shows them.
+    where F is the corrected force at the centre of the exposure. g is estimated by least squares
+    with the forgetting factor `KEPT` per frame. Noise events make A larger, which lowers g: events
+    that explain nothing of what frames show count nothing. The prior is g = 1.
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
+
+    Attributes:
+        value: The gain.
     """
 
-    PRIOR_N: Final = 1.0
-    PRIOR_TURNS: Final = 20.0
+    PRIOR_N: Final = 0.5
+    """Change of the force whose weight the prior has [N]."""
     KEPT: Final = 0.998
-    LOWEST: Final = 0.5
-    HIGHEST: Final = 2.0
-    WIDEST_N: Final = 0.15
-    LARGEST_N: Final = 1.0
+    """Share of the sums that is kept from frame to frame."""
+    LARGEST: Final = 4.0
+    """Largest gain."""
 
     def __init__(self, unit: float = 1.0) -> None:
-        self._unit = unit
-        # Sums of slow^2, slow turned, turned^2, change slow, change turned, the prior left out.
-        self._sums = (0.0,) * 5
-        self._before: tuple[float, list[float]] | None = None
-
-    @property
-    def values(self) -> tuple[float, float]:
-        """The gain, and the play: half of the force change that events miss in a reversal [N]."""
-        slow, both, turned, change_slow, change_turned = self._sums
-        prior = (self._unit * self.PRIOR_N) ** 2
-        slow, turned, change_slow = slow + prior, turned + self.PRIOR_TURNS, change_slow + prior
-        determinant = slow * turned - both * both
-        gain = (turned * change_slow - both * change_turned) / determinant
-        play = (slow * change_turned - both * change_slow) / determinant
-        widest = self._unit * self.WIDEST_N
-        return min(max(gain, self.LOWEST), self.HIGHEST), min(max(play, 0.0), widest)
+        self._squares = self._products = (unit * self.PRIOR_N) ** 2
+        self._before: tuple[float, float] | None = None
+        self.value = 1.0
 
     def forget_frame(self) -> None:
-        """Restart with the next frame; gain and play are kept: they belong to the sensor."""
+        """Restart with the next frame; the gain is kept: it belongs to the sensor."""
         self._before = None
 
-    def frame(self, force: float, increments: NDArray[np.float64]) -> None:
+    def frame(self, force: float, increments: float) -> None:
         """Add a frame.
 
         Args:
             force: Corrected force at the centre of its exposure [N].
-            increments: `StepState.increments` at that time; copied.
+            increments: Sum of all increments until then [N].
         """
-        now = increments.tolist()
-        before, self._before = self._before, (force, now)
+        before, self._before = self._before, (force, increments)
         if before is None:
             return
-        slow, fast, turned = (new - old for new, old in zip(now, before[1], strict=True))
-        change = force - before[0] - fast
-        if max(abs(slow), abs(change)) < self._unit * self.LARGEST_N:
-            told = (slow**2, slow * turned, turned**2, change * slow, change * turned)
-            self._sums = tuple(
-                self.KEPT * old + new for old, new in zip(self._sums, told, strict=True)
-            )
+        change, told = force - before[0], increments - before[1]
+        self._squares = self.KEPT * self._squares + told**2
+        self._products = self.KEPT * self._products + told * change
+        self.value = min(max(self._products / self._squares, 0.0), self.LARGEST)
 
 
 SETTLE_WINDOWS = 100
@@ -351,53 +312,55 @@ class RecurrentPath:
         self._weights = step_weights(tensors)
         self._correction = head_weights(tensors, 'correction.0', 'correction.2')
         self._deviation = deviation_weights(tensors) if config.deviation_size else None
-        self._state = step_state(self._weights, config.force_unit)
+        self._state = step_state(self._weights)
         self._history = np.zeros(config.history_windows, np.float32)
-        self._increments = np.zeros((config.history_windows, 3))
+        self._sums = np.zeros(config.history_windows)
         self._newest = 0
-        self._confirmed = np.zeros(3)
-        self._response = EventResponse(config.force_unit)
+        self._confirmed = 0.0
+        self._gain = EventGain(config.force_unit)
         self.see(np.zeros(config.feature_size, np.float32))
 
     @property
     def force(self) -> float:
-        """Present estimate [N]."""
+        """Present estimate: the network's, with the gain of the events since the last frame [N]."""
+        return self.network_force + (self._gain.value - 1.0) * self.moved
+
+    @property
+    def network_force(self) -> float:
+        """Present estimate of the network alone [N]."""
         return float(self._state.force[0])
+
+    @property
+    def moved(self) -> float:
+        """Sum of the increments since the exposure of the frame that corrected last [N]."""
+        return float(self._sums[self._newest]) - self._confirmed
 
     @property
     def deviation(self) -> float | None:
         """Standard deviation of the present estimate [N]; None of a model that has none."""
         if self._deviation is None:
             return None
-        slow, fast, _ = (self._state.increments - self._confirmed).tolist()
-        state = self._state
-        return float(deviation(state.hidden, state.force[0], abs(slow + fast), self._deviation))
-
-    @property
-    def unconfirmed(self) -> float:
-        """Sum of the fast increments since the exposure of the frame that corrected last [N]."""
-        return float(self._state.increments[1] - self._confirmed[1])
+        hidden, force = self._state.hidden, self._state.force[0]
+        return float(deviation(hidden, force, abs(self.moved), self._deviation))
 
     def change_sensor(self) -> None:
-        """Forget the response of the events."""
-        self._response = EventResponse(self._config.force_unit)
-        self._state.response[:2] = self._response.values
+        """Forget the gain of the events."""
+        self._gain = EventGain(self._config.force_unit)
 
     def clear(self) -> None:
-        """Reset the force and the memory; the response of the events is kept."""
-        state = self._state
-        kept = state.response.copy(), state.context.copy()
-        for part in state:
+        """Reset the force and the memory; the gain of the events is kept."""
+        kept = self._state.context.copy()
+        for part in self._state:
             part[:] = 0.0
-        state.response[:], state.context[:] = kept
-        self._response.forget_frame()
+        self._state.context[:] = kept
+        self._gain.forget_frame()
         self._history[:] = 0.0
-        self._increments[:] = 0.0
+        self._sums[:] = 0.0
         self.confirm()
 
     def confirm(self) -> None:
         """Count the increments up to now as confirmed."""
-        self._confirmed = self._state.increments.copy()
+        self._confirmed = float(self._sums[self._newest])
 
     def see(self, frame_feature: F32) -> None:
         """Use the feature of the latest frame, which relates motion and force."""
@@ -417,28 +380,26 @@ class RecurrentPath:
             self._state.force[0] = force
             advance(still, self._weights, self._state)
         self._state.force[0] = force
-        self._state.increments[:] = 0.0
         self._history[:] = force
 
     def correct(self, frame_feature: F32, lag: int) -> float:
-        """Correct the estimate and its past by a frame; returns the change [N].
+        """Correct the estimate and its past by a frame; returns the change of `force` [N].
 
         Args:
             frame_feature: f_frame of the frame.
             lag: Windows between the last estimate and the centre of the exposure.
         """
-        size = len(self._history)
+        before, size = self.force, len(self._history)
         if self._config.correction_point != 'exposure_centre':
             lag = 0
         place = (self._newest - min(max(lag, 0), size - 1)) % size
         then = self._history[place]
         change = correction(then, frame_feature, self._correction)
-        self._response.frame(float(then + change), self._increments[place])
-        self._confirmed = self._increments[place].copy()
-        self._state.response[:2] = self._response.values
+        self._confirmed = float(self._sums[place])
+        self._gain.frame(float(then + change), self._confirmed)
         self._history += np.float32(change)
         self._state.force[0] += change
-        return float(change)
+        return self.force - before
 
     def mean(self, lag: int, half: int) -> float:
         """Return the mean of past estimates [N].
@@ -452,8 +413,8 @@ class RecurrentPath:
     def blow(self, lag: int, half: int) -> bool:
         """Return whether past windows are part of a blow, which no frame shows; see `mean`."""
         places = self._around(lag, half)
-        fast = self._increments[:, 1].take([places[0] - 1, *places], mode='wrap')
-        return bool(np.ptp(fast) > self._config.force_unit * BLOW_N)
+        sums = self._sums.take([places[0] - 1, *places], mode='wrap')
+        return bool(np.ptp(sums) > self._config.force_unit * BLOW_N)
 
     def _around(self, lag: int, half: int) -> NDArray[np.int64]:
         middle = self._newest - min(lag, len(self._history) - half - 2)
@@ -463,16 +424,17 @@ class RecurrentPath:
         """Change the estimate and its past [N]."""
         self._history += np.float32(change)
         self._state.force[0] += change
-        self._response.forget_frame()
+        self._gain.forget_frame()
 
     def step(self, features: F32) -> float:
-        """Advance by one window and return the force [N] at its end.
+        """Advance by one window and return the increment of the network's force [N].
 
         Args:
             features: Grid features, float32 [grid rows, grid columns, 4].
         """
-        advance(features, self._weights, self._state)
+        increment = float(advance(features, self._weights, self._state))
+        total = self._sums[self._newest] + increment
         self._newest = (self._newest + 1) % len(self._history)
         self._history[self._newest] = self._state.force[0]
-        self._increments[self._newest] = self._state.increments
-        return float(self._state.force[0])
+        self._sums[self._newest] = total
+        return increment

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
-from mixtac_fger.recurrent_network import EventResponse
+from mixtac_fger.recurrent_network import EventGain
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.train.frame_stage import stack
@@ -25,9 +25,8 @@ def exact(monkeypatch):
     """Compare the live estimator with the batch network, which neither rounds nor learns."""
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
-    monkeypatch.setattr(EventResponse, 'LOWEST', 1.0)
-    monkeypatch.setattr(EventResponse, 'HIGHEST', 1.0)
-    monkeypatch.setattr(EventResponse, 'WIDEST_N', 0.0)
+    monkeypatch.setattr(EventGain, 'PRIOR_N', 1e6)
+    monkeypatch.setattr('mixtac_fger.fger_net.UNCONFIRMED_SHARE', 0.0)
     monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
 
 
@@ -91,7 +90,6 @@ def test_forces_from_long_before_the_camera_change_nothing(model, trial, monkeyp
 @pytest.mark.usefixtures('exact')
 def test_deviations_of_a_known_gain_are_those_of_a_calibrated_model(model, trial, monkeypatch):
     monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 4.0)
-    monkeypatch.setattr('mixtac_fger.fger_net.UNCONFIRMED_SHARE', 0.0)
     calibrated = stream(with_gain(model, 1.3, CALIBRATED_DEVIATION), trial)
     scaled = stream(model, trial).scaled(1.3)
     assert scaled.force == pytest.approx(calibrated.force, rel=1e-4, abs=1e-5)
