@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_core.events.codec import encode
 from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
-from mixtac_core.node.stamps import us_to_stamp
+from mixtac_core.node.topics import us_to_stamp
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import FrameExposure
