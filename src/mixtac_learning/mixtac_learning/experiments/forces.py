@@ -200,7 +200,7 @@ def _draw_fusion(path: Path, found: Estimates) -> Path:
         axes, (('mae', 'MAE [N]'), ('rmse', 'RMSE [N]'), ('r2', 'R2')), strict=True
     ):
         for k, (model, by_seed) in enumerate(found.items()):
-            values = [getattr(pooled(trials), key) for trials in by_seed.values()]
+            values = [pooled(trials)[key] for trials in by_seed.values()]
             ax.bar(k, np.mean(values), color=MODELS[model].colour, alpha=0.75, width=0.65)
             ax.plot([k] * len(values), values, 'o', color=TRUTH, ms=3)
             label = 'paper' if k == 0 else None

@@ -18,7 +18,6 @@ from rich.progress import Progress
 
 from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
-from mixtac_fger.weights import read_model
 from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
     PRESET,
@@ -31,7 +30,8 @@ from mixtac_learning.experiments.harness import (
     run_config,
 )
 from mixtac_learning.experiments.training import Estimates, estimates, train
-from mixtac_learning.judge.report import by_profile, make_table
+from mixtac_learning.judge.metrics import by_profile
+from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import MODELS, OURS, DataConfig, SimulatedData
 from mixtac_learning.train.run import training_sources
 from mixtac_sim.world.plans import TrialSpec, session_plan
@@ -198,8 +198,7 @@ def train_and_test(context: Context, chosen: list[str], protocol: str) -> dict[s
     }
     weights = train(context, configs)
     cost: dict[str, list[float]] = {name: [] for name in chosen}
-    for (name, _), stem in weights.items():
-        card = read_model(context.pieces / f'{stem}.safetensors').card
-        cost[name].append(card.training[COST])
+    for (name, _), trained in weights.items():
+        cost[name].append(trained.card.training[COST])
     tests = [(spec, weights) for spec in test_specs(sizes, protocol)]
     return aggregate(estimates(context, protocol, tests), cost)

@@ -16,7 +16,6 @@ from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
-    Piece,
     Row,
     Value,
     experiment,
@@ -222,13 +221,8 @@ def _alarms_before(record: LoopRecord, onset_us: float) -> int:
     return alarms
 
 
-def trial_piece(plan: TrialPlan) -> Piece:
-    """Return a trial as a piece of work; its result has `course_mm`, too."""
-    return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,))
-
-
-def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
-    """Return the result and the course of the displacement at `COURSE_MS` [mm]."""
+def _trial(plan: TrialPlan) -> dict[str, Any]:
+    """Return the result, and the course of the displacement at `COURSE_MS` [mm]."""
     result, record = run_trial(plan)
     t_ms = 1e-3 * (record.t_us - 1e6 * KNOCK_S)
     start = np.interp(0.0, t_ms, record.object_mm)
@@ -260,7 +254,7 @@ def slip(context: Context) -> Outcome:
         for at, (name, count) in enumerate(grasped.items())
         for k in range(count)
     ]
-    found = context.run('slip', [trial_piece(plan) for plan in plans])
+    found = context.run('slip', _trial, [(plan,) for plan in plans])
     results: Results = {name: [] for name in grasped}
     for plan, result in zip(plans, found, strict=True):
         results[plan.name].append(result)

@@ -9,28 +9,30 @@ share them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import joblib
 import numpy as np
 import torch
 
-from mixtac_fger.weights import read_model, save_model
+from mixtac_fger.weights import Model as Weights
 from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
-    Piece,
     Row,
     Sizes,
     Value,
+    code_version,
     run_config,
     texts,
 )
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
-from mixtac_learning.judge.metrics import Metrics, measure
+from mixtac_learning.judge.metrics import measure
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
 from mixtac_learning.trials.samples import Recipe, prepare
@@ -111,37 +113,26 @@ Case = tuple[str, int]
 """A model and a seed."""
 
 
-def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, str]:
-    """Train the models whose weights are not stored yet.
+def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, Weights]:
+    """Return the trained models by model and seed.
 
     Args:
         context: The run; samples are stored in its folder.
         configs: Training runs by model and seed.
-
-    Returns:
-        Stem of the weight file among the stored results, by model and seed.
     """
-    pieces = {
-        (model, seed): Piece(
-            f'model_{model}_s{seed}',
-            _train,
-            (replace(config, data=replace(config.data, cache='')),),
-        )
-        for (model, seed), config in configs.items()
-    }
-    missing = [configs[case] for case in configs if pieces[case].result(context.pieces) is None]
-    _prepare(context, missing)
-    context.run('training', list(pieces.values()))
-    return {case: piece.stem for case, piece in pieces.items()}
+    cache = str(context.folder / 'samples')
+    chosen = [
+        replace(config, data=replace(config.data, cache=cache)) for config in configs.values()
+    ]
+    _prepare(context, chosen)
+    return dict(zip(configs, context.run('training', _train, [(c,) for c in chosen]), strict=True))
 
 
-def _train(base: Path, config: RunConfig) -> dict[str, Any]:
-    """Train and write the weight file; an interrupted training continues."""
+def _train(config: RunConfig) -> Weights:
+    """Train; an interrupted training continues."""
     torch.set_num_threads(1)
-    data = replace(config.data, cache=str(base.parents[1] / 'samples'))
-    trained = train_model(replace(config, data=data), base)
-    save_model(base.with_name(f'{base.name}.safetensors'), trained.model)
-    return {'minutes': trained.model.card.training['minutes'], 'skipped': trained.data.skipped}
+    folder = Path(config.data.cache).parent / 'runs' / joblib.hash((config, code_version()))
+    return train_model(config, folder).model
 
 
 def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
@@ -150,7 +141,7 @@ def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
     recipes: dict[str, Recipe] = {}
     for config in configs:
         recipe = recipe_of(config)
-        recipes[repr(recipe.fingerprint())] = recipe
+        recipes[repr(recipe.facts)] = recipe
     if sources:
         bar = context.progress.add_task('preparing samples', total=len(sources))
         prepare(
@@ -163,37 +154,30 @@ def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
 
 
 def estimates(
-    context: Context, title: str, tests: Sequence[tuple[TrialSpec, Mapping[Case, str]]]
+    context: Context, title: str, tests: Sequence[tuple[TrialSpec, Mapping[Case, Weights]]]
 ) -> Estimates:
     """Return the estimates of models on test trials.
 
     Args:
         context: The run.
         title: Title of the progress bar.
-        tests: Test trials; with each the models that it tests, as `train` returns them.
+        tests: Test trials; with each the models that it tests.
 
     Raises:
         MixtacError: A trial cannot be used.
     """
-    pieces = [Piece(f'judged_{spec.name}', _judge, (spec, dict(cases))) for spec, cases in tests]
     found: Estimates = {}
-    for result in context.run(f'{title}: testing', pieces):
-        for model, seed, name in result['files']:
-            by_seed = found.setdefault(model, {})
-            by_seed.setdefault(seed, []).append(load_estimate(context.pieces / name))
+    for result in context.run(f'{title}: testing', _judge, tests):
+        for (model, seed), estimate in result.items():
+            found.setdefault(model, {}).setdefault(seed, []).append(estimate)
     return found
 
 
-def _judge(base: Path, spec: TrialSpec, weights: Mapping[Case, str]) -> dict[str, Any]:
+def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialEstimate]:
     """Estimate a trial, which is simulated once, with each model."""
     torch.set_num_threads(1)
-    trial, written = SimulatedSource(spec).load(), []
-    for (model, seed), stem in weights.items():
-        estimate = trial_estimator(read_model(base.parent / f'{stem}.safetensors'))(trial)
-        name = f'{base.name}_{model}_s{seed}.npz'
-        save_estimate(base.parent / name, estimate)
-        written.append((model, seed, name))
-    return {'files': written}
+    trial = SimulatedSource(spec).load()
+    return {case: trial_estimator(model)(trial) for case, model in models.items()}
 
 
 def profile_estimates(context: Context, profile: str) -> Estimates:
@@ -223,20 +207,6 @@ def profile_estimates(context: Context, profile: str) -> Estimates:
     return estimates(context, profile, tests)
 
 
-def save_estimate(path: Path, estimate: TrialEstimate) -> None:
-    """Write an estimate to an npz file."""
-    values = {each.name: getattr(estimate, each.name) for each in fields(estimate)}
-    np.savez(path, **{name: value for name, value in values.items() if value is not None})
-
-
-def load_estimate(path: Path) -> TrialEstimate:
-    """Read what `save_estimate` wrote."""
-    with np.load(path) as file:
-        values = {name: file[name] for name in file.files}
-    words = {name: str(value) for name, value in values.items() if value.ndim == 0}
-    return TrialEstimate(**{'reference': None, **values, **words})
-
-
 CONDITIONS = {'dynamic': 'dynamic trials', 'static': 'static trials'}
 """Which trials an error is of; those of other profiles count as a whole."""
 
@@ -256,7 +226,7 @@ def force_outcome(
     """
     text = texts(name)
     text['deviations'] = (*deviations(context.sizes), *text['deviations'])
-    constant = Value.of(pooled(each).constant_mae for each in found[OURS].values())
+    constant = Value.of(pooled(each)['constant_mae'] for each in found[OURS].values())
     trials = CONDITIONS.get(profile, 'whole trials')
     last = Row('best constant: MAE', constant, None, '', 'N', trials)
     return Outcome(
@@ -267,7 +237,7 @@ def force_outcome(
     )
 
 
-def pooled(estimates: Sequence[TrialEstimate]) -> Metrics:
+def pooled(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
     """Return the errors of all windows of some trials together."""
     known = np.concatenate([each.known for each in estimates])
     return measure(known, np.concatenate([each.force for each in estimates]))
@@ -293,7 +263,7 @@ def error_rows(
     return [
         Row(
             f'{name}: {title}',
-            Value.of(getattr(each, key) for each in metrics),
+            Value.of(each.get(key, math.nan) for each in metrics),
             paper.get(key),
             place if key in paper else '',
             unit,

@@ -29,7 +29,6 @@ from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
-    Piece,
     Row,
     Value,
     experiment,
@@ -201,17 +200,9 @@ def vibration(context: Context) -> Outcome:
         for tone in sizes.tones_hz + (sizes.fast_tones_hz if kind == PRESSED else ())
         for seed in range(context.seeds)
     ]
-    pieces = [
-        Piece(
-            f'shake_{kind}_{tone:g}hz_{1e3 * size:g}um_s{seed}',
-            _shaken_spectra,
-            (kind, tone, size, seed),
-        )
-        for kind, tone, size, seed in cases
-    ]
     found: dict[tuple[str, float], list[list[Found]]] = {}
     for (kind, tone, size, seed), result in zip(
-        cases, context.run('vibration', pieces), strict=True
+        cases, context.run('vibration', _shaken_spectra, cases), strict=True
     ):
         by_seed = found.setdefault((kind, size), [[] for _ in range(context.seeds)])
         by_seed[seed - FIRST_SEED].append((tone, result))
@@ -242,7 +233,7 @@ def vibration(context: Context) -> Outcome:
     )
 
 
-def _shaken_spectra(_base: Path, *case: Any) -> dict[str, Any]:  # noqa: ANN401
+def _shaken_spectra(*case: Any) -> dict[str, Any]:  # noqa: ANN401
     return spectra(shake(*case))
 
 

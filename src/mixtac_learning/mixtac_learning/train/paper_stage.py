@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from mixtac_learning.network import usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.layers import SAME, Scale
 from mixtac_learning.paper.networks import (
@@ -455,7 +456,6 @@ def train_paper(
     samples: Sequence[PaperSample],
     checked: Sequence[PaperSample],
     *,
-    device: str,
     processes: Processes,
     **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
@@ -468,16 +468,15 @@ def train_paper(
         settings: The recipe.
         samples: Trials to train on.
         checked: Trials to validate on.
-        device: Device to compute on.
         processes: Processes that share the training.
-        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or there are fewer trials than processes.
     """
     torch.manual_seed(settings.seed)
     network = build(config)
-    network.to(device)
+    network.to(usual_device())
     fit_scales(network, samples)
     own = processes.share(range(len(samples)))
     if not own:

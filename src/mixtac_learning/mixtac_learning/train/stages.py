@@ -31,6 +31,7 @@ from mixtac_learning.network import (
     FrameSlots,
     SequenceState,
     arrays_of,
+    usual_device,
 )
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import (
@@ -456,7 +457,6 @@ def train_fger(
     checked: DiskGroups | None = None,
     *,
     start: FgerNetwork | None = None,
-    device: str = 'cpu',
     processes: Processes | None = None,
     **options: Any,  # noqa: ANN401
 ) -> tuple[FgerNetwork, list[dict[str, Any]]]:
@@ -468,9 +468,8 @@ def train_fger(
         groups: Trials to train on.
         checked: Trials to validate on; None for none.
         start: Trained network to adapt; None for random weights.
-        device: Device to compute on.
         processes: Processes that share the training; None for this one.
-        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
@@ -488,7 +487,7 @@ def train_fger(
     if start is None:
         model.fit_scales(groups.load(0))
     processes.average_buffers(model)
-    model.to(device)
+    model.to(usual_device())
     loop = TrainingLoop(
         model,
         seed=settings.seed,
