@@ -4,17 +4,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mixtac_learning.experiments.harness import FULL
 from mixtac_learning.experiments.training import (
     PROFILES,
-    load_estimate,
-    save_estimate,
     test_trials,
     training_data,
 )
-from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.run import training_sources
 
 test_trials.__test__ = False
@@ -32,15 +27,3 @@ def test_tests_are_other_days_of_the_sensor_that_was_trained_on():
         assert not set(days) & {spec.trial_seed for spec in trained}
         sensors.add(device)
     assert len(sensors) == 3
-
-
-def test_estimates_survive_the_disk(tmp_path):
-    t_us = 2000 * np.arange(500)
-    known = np.sin(1e-6 * t_us) ** 2
-    trial = TrialEstimate('trial', 'long_term', '7', t_us, known + 0.1, known, None)
-    save_estimate(tmp_path / 'a.npz', trial)
-    found = load_estimate(tmp_path / 'a.npz')
-    assert (found.name, found.profile, found.device) == ('trial', 'long_term', '7')
-    np.testing.assert_array_equal(found.force, trial.force)
-    assert found.reference is None
-    assert found.deviation is None
