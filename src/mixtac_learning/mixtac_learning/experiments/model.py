@@ -24,7 +24,7 @@ from mixtac_learning.experiments.harness import (
     experiment,
     texts,
 )
-from mixtac_learning.experiments.training import (
+from mixtac_learning.experiments.models import (
     MODELS,
     describe,
     deviations,

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from mixtac_learning.experiments import harness, training, vibration
+from mixtac_learning.experiments import harness, models, vibration
 from mixtac_learning.experiments.harness import QUICK, run_experiments
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
 
@@ -77,8 +77,8 @@ def test_a_second_run_computes_nothing(finished, monkeypatch):
         raise AssertionError(arguments)
 
     for module, name in (
-        (training, 'train_model'),
-        (training, 'trial_estimator'),
+        (models, 'train_model'),
+        (models, 'trial_estimator'),
         (vibration, 'shake'),
     ):
         monkeypatch.setattr(module, name, refuse)

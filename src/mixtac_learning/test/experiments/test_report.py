@@ -22,7 +22,7 @@ from mixtac_learning.experiments.harness import (
     select,
     write_report,
 )
-from mixtac_learning.experiments.training import error_rows, rate_hz
+from mixtac_learning.experiments.models import error_rows, rate_hz
 from mixtac_learning.judge.estimators import TrialEstimate
 
 
