@@ -278,9 +278,10 @@ class ClosedLoop:
             self._step()
             if cycle == round(enable_s / CYCLE_S):
                 self._controller.enable(self._now_s)
-        parts = ('t_us', 'object_mm', 'speed_mm_s', 'normal_n')
+        names = ('t_us', 'object_mm', 'speed_mm_s', 'normal_n')
+        parts: Any = {n: np.concatenate([getattr(b, n) for b in self._blocks]) for n in names}
         return LoopRecord(
-            *(np.concatenate([getattr(each, name) for each in self._blocks]) for name in parts),
+            **parts,
             advance_mm=np.concatenate(self._ways),
             answered_us=np.array(self._answered),
             steps=self._steps,

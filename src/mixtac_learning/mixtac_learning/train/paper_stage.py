@@ -142,7 +142,7 @@ class PaperStage(Stage):
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return next(self.network.parameters()).device
+        return torch.device(next(self.network.parameters()).device)
 
     @property
     def frozen(self) -> tuple[str, ...]:
@@ -383,7 +383,7 @@ class RecurrentStage(PaperStage):
 
     @property
     def _windows(self) -> int:
-        return self.settings.cycles * (CYCLE_US // self.network.config.window_us)
+        return int(self.settings.cycles * (CYCLE_US // self.network.config.window_us))
 
     def _groups(self) -> list[list[int]]:
         """Return trials that run side by side, the longest first."""

@@ -293,7 +293,8 @@ class Errors(NamedTuple):
 
     def some(self, rows: Tensor) -> Errors:
         """Return some of the windows."""
-        return Errors(*(part[rows] for part in self[:4]), self.trials)
+        hidden, force, moved, error = (part[rows] for part in self[:4])
+        return Errors(hidden, force, moved, error, self.trials)
 
     def log_deviation(self, head: DeviationHead) -> Tensor:
         """Return the output of an uncertainty head before its scale [log N], [N]."""
@@ -355,7 +356,8 @@ def collect(network: FgerNetwork, groups: DiskGroups, most: int = _WINDOWS) -> E
         windows = (course.hidden.flatten(0, 1), course.force, course.moved, error)
         parts.append([windows[0][rows], *(each.flatten()[rows] for each in windows[1:])])
         trials += len(sequences.device)
-    return Errors(*(torch.cat(each) for each in zip(*parts, strict=True)), trials)
+    hidden, force, moved, wrong = (torch.cat(each) for each in zip(*parts, strict=True))
+    return Errors(hidden, force, moved, wrong, trials)
 
 
 @torch.no_grad()
