@@ -68,5 +68,5 @@ def network(model: Model) -> FgerNetwork:
 def toy_sequences(config: FgerConfig) -> list[Sequences]:
     """Two sets of toy trials: five to train on and two others."""
     trials = [toy_arrays(1.6, seed) for seed in range(7)]
-    samples = [make_sample(config, trial, trial.label(), {}) for trial in trials]
+    samples = [make_sample(config, trial) for trial in trials]
     return [stack(samples[:5]), stack(samples[5:])]

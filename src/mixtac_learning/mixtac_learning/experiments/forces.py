@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from mixtac_learning.experiments.harness import (
     Value,
     experiment,
 )
-from mixtac_learning.experiments.training import (
+from mixtac_learning.experiments.models import (
     MODELS,
     Estimates,
     error_rows,
@@ -99,32 +98,17 @@ def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
 
 def _draw_stability(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(columns=len(found), width=9.0, height=3.6)
-    top = 0.0
     for ax, (model, by_seed) in zip(axes, found.items(), strict=True):
-        colour = MODELS[model].colour
         bins = _pooled_bins([each for trials in by_seed.values() for each in trials])
         centres = [BIN_S * (k + 0.5) for k in range(len(bins))]
-        thin = [values[:: max(len(values) // 3000, 1)] for values in bins]
-        parts = ax.violinplot(thin, centres, widths=0.8 * BIN_S, showextrema=False)
-        bodies: Any = parts['bodies']
-        for body in bodies:
-            body.set(facecolor=colour, alpha=0.5)
-        medians = [float(np.median(values)) for values in bins]
-        ax.hlines(medians, np.array(centres) - 1.2, np.array(centres) + 1.2, colour, lw=2)
-        ax.plot(
-            centres[: len(STABILITY_PAPER)],
-            STABILITY_PAPER[: len(centres)],
-            'D',
-            color=PAPER,
-            ms=5,
-            label="paper's medians",
+        ax.boxplot(
+            bins, positions=centres, widths=0.5 * BIN_S, showfliers=False, manage_ticks=False
         )
-        top = max(top, *(float(np.quantile(values, 0.99)) for values in bins), 0.1)
+        shown = min(len(bins), len(STABILITY_PAPER))
+        ax.plot(centres[:shown], STABILITY_PAPER[:shown], 'D', color=PAPER, label="paper's medians")
         ax.set(title=f'{MODELS[model].label}, simulated', xlabel='time since the start [s]')
+        ax.set(ylabel='rolling MAE [N]', ylim=(0.0, None))
         ax.legend(loc='upper right', frameon=False, fontsize=8)
-    for ax in axes:
-        ax.set_ylim(0.0, 1.1 * top)
-    axes[0].set_ylabel('rolling MAE [N]')
     return save_figure(figure, path)
 
 
@@ -163,12 +147,8 @@ def _draw_inputs(path: Path, found: Estimates) -> Path:
     for ax, models in zip(axes, (('frames', 'events'), ('fger', OURS)), strict=True):
         curves = {MODELS[model]: found[model][0][0] for model in models}
         plot_forces(ax, first, curves, start, (0.0, length))
-        ax.set(ylabel='normal force [N]')
-        ax.legend(loc='upper right', ncols=3, frameon=False, fontsize=8)
-        low, high = ax.get_ylim()
-        ax.set_ylim(low, high + 0.22 * (high - low))
-    axes[0].set_title(f'{first.name}, simulated', loc='left', fontsize=10)
-    axes[-1].set_xlabel('time [s]')
+        ax.set(xlabel='time [s]', ylabel='normal force [N]', title=f'{first.name}, simulated')
+        ax.legend(loc='upper right', ncols=3, fontsize=8)
     return save_figure(figure, path)
 
 
@@ -196,20 +176,15 @@ def fusion(context: Context) -> Outcome:
 
 def _draw_fusion(path: Path, found: Estimates) -> Path:
     figure, axes = new_axes(columns=3, width=9.0, height=3.6)
-    for ax, (key, title) in zip(
-        axes, (('mae', 'MAE [N]'), ('rmse', 'RMSE [N]'), ('r2', 'R2')), strict=True
-    ):
+    labels = [MODELS[model].label.replace(', ', ',\n') for model in found]
+    for ax, key in zip(axes, ('mae', 'rmse', 'r2'), strict=True):
         for k, (model, by_seed) in enumerate(found.items()):
-            values = [getattr(pooled(trials), key) for trials in by_seed.values()]
+            values = [pooled(trials)[key] for trials in by_seed.values()]
             ax.bar(k, np.mean(values), color=MODELS[model].colour, alpha=0.75, width=0.65)
             ax.plot([k] * len(values), values, 'o', color=TRUTH, ms=3)
-            label = 'paper' if k == 0 else None
-            ax.plot(k + 0.2, FUSION_PAPER[model][key], 'D', color=PAPER, ms=6, label=label)
-        ax.axhline(0.0, color=TRUTH, lw=0.6)
-        ax.set_xticks(range(len(found)), [MODELS[model].short for model in found], fontsize=8)
-        ax.set_title(f'{title}, simulated', fontsize=10)
-        ax.grid(visible=False, axis='x')
-    axes[0].legend(frameon=False, fontsize=8)
+            ax.plot(k + 0.2, FUSION_PAPER[model][key], 'D', color=PAPER, ms=6)
+        ax.set_xticks(range(len(found)), labels, fontsize=7)
+        ax.set_title(f'{key.upper()}{"" if key == "r2" else " [N]"}, simulated', fontsize=10)
     return save_figure(figure, path)
 
 
@@ -247,7 +222,7 @@ def _draw_impact(path: Path, found: Estimates) -> Path:
     for ax, span in zip(axes, (WHOLE_S, CLOSE_S), strict=True):
         plot_forces(ax, first, curves, onset, span)
         ax.set(xlabel='time from the peak [s]')
-    axes[0].set(ylabel='normal force [N]', title=f'{first.name}, simulated')
-    axes[0].title.set_fontsize(9)
+        ax.set_title(f'{first.name}, simulated', fontsize=9)
+    axes[0].set(ylabel='normal force [N]')
     axes[1].legend(frameon=False, fontsize=8)
     return save_figure(figure, path)

@@ -3,9 +3,8 @@
 """How an experiment becomes a command, stores its results, and reports them.
 
 An experiment is a function from a `Context` to an `Outcome`: rows that set our
-values beside the values of the paper, figures, and a list of differences from the paper. Long
-computations are cut into pieces whose results are stored in a folder, so that an interrupted run
-continues where it stopped.
+values beside the values of the paper, figures, and a list of differences from the paper. Results of
+long computations are stored in a folder, so that an interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import datetime as dt
 import functools
 import hashlib
 import importlib
-import json as json_text
 import math
 import os
 import platform
@@ -23,7 +21,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, List, Optional  # noqa: UP035
+from typing import Annotated, Any, List, Optional, TypeVar  # noqa: UP035
 
 import joblib
 import numpy as np
@@ -40,6 +38,7 @@ from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig
 from mixtac_sim.world.plans import simulator_digest
 
+T = TypeVar('T')
 PRESET = 'paper_like'
 """Difficulty preset of the simulated sensors."""
 
@@ -141,78 +140,8 @@ def code_version() -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """One piece of work; can be sent to another process.
-
-    The result is JSON in a file whose name holds a digest of arguments and code. Larger arrays are
-    in files beside it whose names begin with the same stem.
-
-    Attributes:
-        label: Prefix of its file names.
-        function: Called with the path of the result without suffix, which is the prefix for further
-            files, and with `arguments`; returns the result, ready for JSON.
-        arguments: Everything else that the function needs; their `repr` is part of the digest.
-    """
-
-    label: str
-    function: Callable[..., dict[str, Any]]
-    arguments: tuple[Any, ...]
-
-    @property
-    def stem(self) -> str:
-        """Name of its files without suffix."""
-        key = f'{self.function.__qualname__} {self.arguments!r} {code_version()}'
-        return f'{self.label}-{hashlib.blake2b(key.encode(), digest_size=6).hexdigest()}'
-
-    def result(self, folder: Path) -> dict[str, Any] | None:
-        """Return the stored result, None if there is none or it is damaged."""
-        try:
-            text = (folder / f'{self.stem}.json').read_text('utf-8')
-            found: dict[str, Any] = json_text.loads(text)
-        except (OSError, ValueError):
-            return None
-        return found
-
-
-def compute(
-    folder: Path, pieces: Sequence[Piece], jobs: int = 1, advance: Callable[[], Any] = lambda: None
-) -> list[dict[str, Any]]:
-    """Return the results of pieces in their order; compute and store the missing ones.
-
-    Args:
-        folder: Folder of the results.
-        pieces: What to compute.
-        jobs: Number of processes.
-        advance: Called after each piece.
-
-    Raises:
-        MixtacError: A piece failed; the results of finished pieces stay stored.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    results = [piece.result(folder) for piece in pieces]
-    missing = [index for index, result in enumerate(results) if result is None]
-    for _ in range(len(pieces) - len(missing)):
-        advance()
-    calls = [
-        joblib.delayed(_compute)(folder / pieces[index].stem, index, pieces[index])
-        for index in missing
-    ]
-    # Processes share the cores, so each gets one thread.
-    with joblib.parallel_config(
-        'loky', n_jobs=min(jobs, len(missing)) or 1, inner_max_num_threads=1
-    ):
-        parallel = joblib.Parallel(return_as='generator_unordered', batch_size=1)
-        for index, result in parallel(calls):
-            results[index] = result
-            advance()
-    return [result for result in results if result is not None]
-
-
-def _compute(base: Path, index: int, piece: Piece) -> tuple[int, dict[str, Any]]:
-    result = piece.function(base, *piece.arguments)
-    write_json(base.with_name(f'{base.name}.json'), result)
-    return index, result
+def _call(_version: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
+    return function(*arguments)
 
 
 HEADINGS = ('what', 'ours', 'paper', 'unit')
@@ -375,12 +304,6 @@ def number(value: float) -> str:
 # typer evaluates these under Python 3.10.
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 ALL = 'all'
-NO_EXPERIMENTS = {ALL, 'models'}
-"""Commands that are no experiment of the paper."""
-
-
-class ExperimentError(MixtacError):
-    """An experiment that does not exist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,39 +324,45 @@ class Context:
     jobs: int
     progress: Progress
 
-    @property
-    def pieces(self) -> Path:
-        """Folder of the stored results."""
-        return self.folder / 'pieces'
-
     def figure(self, name: str) -> Path:
         """Return the path of a figure."""
         return self.folder / 'figures' / f'{name}.png'
 
-    def run(self, title: str, pieces: Sequence[Piece]) -> list[dict[str, Any]]:
-        """Return the results of pieces of work and show a progress bar meanwhile.
+    def run(
+        self, title: str, function: Callable[..., T], cases: Sequence[tuple[Any, ...]]
+    ) -> list[T]:
+        """Return the results of a function for some arguments, in order, with a progress bar.
 
-        Raises:
-            MixtacError: A piece failed.
+        Results are stored below `folder` by arguments and code, and not computed again.
+
+        Args:
+            title: Title of the progress bar.
+            function: A function of a module; it can be sent to other processes.
+            cases: Arguments of each call.
         """
-        bar = self.progress.add_task(title, total=len(pieces))
-        return compute(self.pieces, pieces, self.jobs, lambda: self.progress.advance(bar))
+        bar = self.progress.add_task(title, total=len(cases))
+        stored = joblib.Memory(self.folder / 'pieces', verbose=0).cache(_call)
+        calls = [joblib.delayed(stored)(code_version(), function, *case) for case in cases]
+        results = []
+        # Processes share the cores, so each gets one thread.
+        with joblib.parallel_config(
+            'loky', n_jobs=min(self.jobs, len(cases)) or 1, inner_max_num_threads=1
+        ):
+            for result in joblib.Parallel(return_as='generator', batch_size=1)(calls):
+                results.append(result)
+                self.progress.advance(bar)
+        return results
 
 
-def experiment(function: Callable[[Context], Outcome]) -> Callable[..., None]:
-    """Make a function `Context -> Outcome` a command with options.
+def command(name: str, text: str) -> Callable[..., None]:
+    """Return the command that runs an experiment, or all for the name `all`.
 
-    The name of the function is the name of the experiment, its docstring the help of the command.
+    Args:
+        name: Name of the experiment.
+        text: Help of the command.
     """
-    command = make_command(function.__name__, function.__doc__)
-    command.run = function  # type: ignore[attr-defined]
-    return command
 
-
-def make_command(name: str, text: str | None) -> Callable[..., None]:
-    """Return the command that runs an experiment, or all for the name `all`."""
-
-    def command(
+    def run(
         more: Annotated[OptionalStrings, typer.Argument(help='Further experiments to run.')] = None,
         quick: Annotated[
             bool, typer.Option('--quick', help='Run for minutes only; results are meaningless.')
@@ -450,11 +379,18 @@ def make_command(name: str, text: str | None) -> Callable[..., None]:
     ) -> None:
         run_experiments([name, *(more or [])], quick, json, out, seeds, jobs)
 
-    command.__name__, command.__doc__ = name, text
-    return command
+    run.__name__, run.__doc__ = name, text
+    return run
 
 
-all_experiments = make_command(ALL, 'Run all experiments of the paper.')
+all_experiments = command(ALL, 'Run all experiments of the paper.')
+
+
+def experiment(function: Callable[[Context], Outcome]) -> Callable[..., None]:
+    """Make a function `Context -> Outcome` a command; its docstring is the help."""
+    made = command(function.__name__, str(function.__doc__))
+    made.run = function  # type: ignore[attr-defined]
+    return made
 
 
 def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
@@ -464,15 +400,13 @@ def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
         names: Names of experiments; `all` stands for all of them.
 
     Raises:
-        ExperimentError: There is no such experiment.
+        MixtacError: There is no such experiment.
     """
-    places = {name: EXPERIMENTS[name] for name in EXPERIMENTS if name not in NO_EXPERIMENTS}
-    unknown = sorted(set(names) - {*places, ALL})
-    if unknown:
-        raise ExperimentError(
-            f'unknown experiment {unknown[0]!r}',
-            remedy=f'choose from {", ".join(sorted(places))}, or {ALL}',
-        )
+    places = {name: EXPERIMENTS[name] for name in EXPERIMENTS if name not in {ALL, 'models'}}
+    for name in names:
+        if name not in {*places, ALL}:
+            known = ', '.join(sorted(places))
+            raise MixtacError(f'unknown experiment {name!r}', remedy=f'choose from {known}, or all')
     found = {}
     for name, place in places.items():
         if ALL in names or name in names:

@@ -24,7 +24,7 @@ from mixtac_learning.experiments.harness import (
     experiment,
     texts,
 )
-from mixtac_learning.experiments.training import (
+from mixtac_learning.experiments.models import (
     MODELS,
     describe,
     deviations,
@@ -218,6 +218,6 @@ def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value,
     metrics = [pooled(trials) for trials in by_seed.values()]
     return (
         ('rate', Value.of(rate_hz(trials) for trials in by_seed.values()), 'Hz'),
-        ('MAE of the normal force', Value.of(each.mae for each in metrics), 'N'),
-        ('largest force tested', Value.of(each.peak_truth for each in metrics), 'N'),
+        ('MAE of the normal force', Value.of(each['mae'] for each in metrics), 'N'),
+        ('largest force tested', Value.of(each['peak_truth'] for each in metrics), 'N'),
     )

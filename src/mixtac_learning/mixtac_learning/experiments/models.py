@@ -1,24 +1,31 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of all models, trained with several seeds and tested on the same trials.
+"""Train models, run them on simulated test trials, and the tables of all models.
 
-With the protocol `paper`, the trials of one session are split at random. With `other_days`, the
-test trials are from other days of the same sensor.
+Every force experiment calls `force_outcome`: each model is trained once per seed and runs on the
+test trials of one force profile. Weights and estimates are stored, and all experiments of a run
+share them. In the tables, the protocol `paper` splits the trials of one session at random; with
+`other_days`, the test trials are from other days of the same sensor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
+import joblib
+import numpy as np
+import torch
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
-from mixtac_fger.weights import read_model
+from mixtac_fger.weights import Model as Weights
 from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
     PRESET,
@@ -26,15 +33,261 @@ from mixtac_learning.experiments.harness import (
     VARIANTS,
     Context,
     OptionalStrings,
+    Outcome,
+    Row,
     Sizes,
     Value,
+    code_version,
     run_config,
+    texts,
 )
-from mixtac_learning.experiments.training import Estimates, estimates, train
-from mixtac_learning.judge.report import by_profile, make_table
-from mixtac_learning.train.config import MODELS, OURS, DataConfig, SimulatedData
-from mixtac_learning.train.run import training_sources
-from mixtac_sim.world.plans import TrialSpec, session_plan
+from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
+from mixtac_learning.judge.metrics import by_profile, measure
+from mixtac_learning.judge.report import make_table
+from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
+from mixtac_learning.train.run import recipe_of, train_model, training_sources
+from mixtac_learning.trials.samples import Recipe, prepare
+from mixtac_learning.trials.trial import SimulatedSource
+from mixtac_sim.world.plans import TrialSpec, session_plan, training_plan
+
+
+class Model(NamedTuple):
+    """How a model appears in reports."""
+
+    label: str
+    colour: str
+
+
+MODELS = {
+    OURS: Model('FGER-Net, small (ours)', '#0072b2'),
+    'fger': Model("FGER-Net, the paper's layers", '#009e73'),
+    'frames': Model('frames only', '#e69f00'),
+    'events': Model('events only', '#d55e00'),
+    'fusion': Model('feature-level fusion', '#cc79a7'),
+}
+"""Colours that stay distinct without colour vision (Okabe and Ito 2008)."""
+JUDGED = {
+    'dynamic': (OURS, 'fger', 'frames', 'events'),
+    'static': (OURS, 'fger', 'fusion'),
+    'long_term': (OURS, 'fger'),
+    'impact': (OURS, 'fger'),
+}
+"""Models that are evaluated on each profile."""
+Estimates = dict[str, dict[int, list[TrialEstimate]]]
+"""Estimates by model and seed."""
+PROFILES = tuple(JUDGED)
+FIRST_DATA_SEED = 40
+"""Data seeds of `mixtac_sim.world.plans`; other ones than those of shipped models."""
+FIRST_TEST = 830_000
+"""First trial seed of the tests; training uses 100,000 to 200,000."""
+CHECKED = 1 / 8
+"""Part of the training trials that the best weights are chosen by."""
+
+
+def training_data(sizes: Sizes, seed: int) -> DataConfig:
+    """Return the training trials of the seed's sensor."""
+    data = SimulatedData(
+        (PRESET,), 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
+    )
+    return DataConfig(simulated=data, checked=CHECKED)
+
+
+def test_trials(sizes: Sizes, seed: int, profile: str) -> list[TrialSpec]:
+    """Return other days of the same sensor."""
+    count, seconds = sizes.tests[profile]
+    device = training_plan(1, 1, 1.0, FIRST_DATA_SEED + seed, (PRESET,))[0].device_seed
+    first = FIRST_TEST + 1000 * seed + 100 * PROFILES.index(profile)
+    return [TrialSpec(device, first + k, profile, seconds, PRESET) for k in range(count)]
+
+
+def describe(sizes: Sizes, profile: str) -> str:
+    """Return sizes, preset and seeds of the trials in words."""
+    count, seconds = sizes.tests[profile]
+    trained = ', '.join(dict.fromkeys(sizes.mix[: sizes.trials]))
+    return (
+        f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
+        f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
+        f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
+        f' days (trial seeds from {FIRST_TEST})'
+    )
+
+
+def deviations(sizes: Sizes) -> tuple[str, ...]:
+    """Return the differences from the paper wherever models are trained."""
+    values = {'trials': sizes.trials, 'seconds': sizes.seconds}
+    values |= sizes.paper_network | sizes.paper_training
+    return tuple(each.format(**values) for each in texts('training')['deviations'])
+
+
+Case = tuple[str, int]
+"""A model and a seed."""
+
+
+def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, Weights]:
+    """Return the trained models by model and seed.
+
+    Args:
+        context: The run; samples are stored in its folder.
+        configs: Training runs by model and seed.
+    """
+    cache = str(context.folder / 'samples')
+    chosen = [
+        replace(config, data=replace(config.data, cache=cache)) for config in configs.values()
+    ]
+    _prepare(context, chosen)
+    return dict(zip(configs, context.run('training', _train, [(c,) for c in chosen]), strict=True))
+
+
+def _train(config: RunConfig) -> Weights:
+    """Train; an interrupted training continues."""
+    torch.set_num_threads(1)
+    folder = Path(config.data.cache).parent / 'runs' / joblib.hash((config, code_version()))
+    return train_model(config, folder).model
+
+
+def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
+    """Prepare the samples before trainings run side by side, which would prepare them twice."""
+    sources = {s.name: s for config in configs for s in training_sources(config.data)}
+    recipes: dict[str, Recipe] = {}
+    for config in configs:
+        recipe = recipe_of(config)
+        recipes[repr(recipe.facts)] = recipe
+    if sources:
+        bar = context.progress.add_task('preparing samples', total=len(sources))
+        prepare(
+            [*sources.values()],
+            [*recipes.values()],
+            context.folder / 'samples',
+            context.jobs,
+            lambda done: context.progress.update(bar, completed=done),
+        )
+
+
+def estimates(
+    context: Context, title: str, tests: Sequence[tuple[TrialSpec, Mapping[Case, Weights]]]
+) -> Estimates:
+    """Return the estimates of models on test trials.
+
+    Args:
+        context: The run.
+        title: Title of the progress bar.
+        tests: Test trials; with each the models that it tests.
+
+    Raises:
+        MixtacError: A trial cannot be used.
+    """
+    found: Estimates = {}
+    for result in context.run(f'{title}: testing', _judge, tests):
+        for (model, seed), estimate in result.items():
+            found.setdefault(model, {}).setdefault(seed, []).append(estimate)
+    return found
+
+
+def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialEstimate]:
+    """Estimate a trial, which is simulated once, with each model."""
+    torch.set_num_threads(1)
+    trial = SimulatedSource(spec).load()
+    return {case: trial_estimator(model)(trial) for case, model in models.items()}
+
+
+def profile_estimates(context: Context, profile: str) -> Estimates:
+    """Return the estimates of the models of a profile on its test trials; trains what is missing.
+
+    Args:
+        context: The run.
+        profile: One of `JUDGED`.
+
+    Raises:
+        MixtacError: Trials cannot be used.
+    """
+    sizes, models = context.sizes, JUDGED[profile]
+    weights = train(
+        context,
+        {
+            (model, seed): run_config(sizes, model, seed, training_data(sizes, seed))
+            for seed in range(context.seeds)
+            for model in models
+        },
+    )
+    tests = [
+        (spec, {(model, seed): weights[model, seed] for model in models})
+        for seed in range(context.seeds)
+        for spec in test_trials(sizes, seed, profile)
+    ]
+    return estimates(context, profile, tests)
+
+
+CONDITIONS = {'dynamic': 'dynamic trials', 'static': 'static trials'}
+"""Which trials an error is of; those of other profiles count as a whole."""
+
+
+def force_outcome(
+    context: Context, profile: str, name: str, found: Estimates, rows: list[Row], figure: Path
+) -> Outcome:
+    """Return the outcome of an experiment that compares models on one profile.
+
+    Args:
+        context: The run.
+        profile: One of `JUDGED`.
+        name: Name of the experiment.
+        found: Estimates of the models.
+        rows: Rows of the experiment; one of the best constant is added.
+        figure: Picture of the estimates.
+    """
+    text = texts(name)
+    text['deviations'] = (*deviations(context.sizes), *text['deviations'])
+    constant = Value.of(pooled(each)['constant_mae'] for each in found[OURS].values())
+    trials = CONDITIONS.get(profile, 'whole trials')
+    last = Row('best constant: MAE', constant, None, '', 'N', trials)
+    return Outcome(
+        data=describe(context.sizes, profile),
+        rows=[*rows, last],
+        figures={text.pop('caption'): figure},
+        **text,
+    )
+
+
+def pooled(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
+    """Return the errors of all windows of some trials together."""
+    known = np.concatenate([each.known for each in estimates])
+    return measure(known, np.concatenate([each.force for each in estimates]))
+
+
+def error_rows(
+    name: str,
+    by_seed: Mapping[int, Sequence[TrialEstimate]],
+    paper: Mapping[str, float],
+    place: str,
+    conditions: str,
+) -> list[Row]:
+    """Return MAE, RMSE and R2 of a model; one value per seed.
+
+    Args:
+        name: Display name of the model.
+        by_seed: Its estimates by seed.
+        paper: The paper's values by `mae`, `rmse`, `r2`, where it gives them.
+        place: Section, figure or table of the paper.
+        conditions: Which trials these are.
+    """
+    metrics = [pooled(estimates) for estimates in by_seed.values()]
+    return [
+        Row(
+            f'{name}: {title}',
+            Value.of(each.get(key, math.nan) for each in metrics),
+            paper.get(key),
+            place if key in paper else '',
+            unit,
+            conditions,
+        )
+        for key, title, unit in (('mae', 'MAE', 'N'), ('rmse', 'RMSE', 'N'), ('r2', 'R2', ''))
+    ]
+
+
+def rate_hz(estimates: Sequence[TrialEstimate]) -> float:
+    """Return the number of distinct forces per second [Hz]."""
+    changes = sum(int(np.count_nonzero(np.diff(e.force))) for e in estimates)
+    return changes / sum(1e-6 * float(e.t_us[-1] - e.t_us[0]) for e in estimates)
+
 
 PROTOCOLS = ('paper', 'other_days')
 """One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
@@ -44,7 +297,7 @@ ROWS = (
     *('fger', 'fger_reference', OURS),
 )
 """Models of the table, in order."""
-ALL_ROWS = tuple(dict.fromkeys((*ROWS, *MODELS, *VARIANTS)))
+ALL_ROWS = tuple(dict.fromkeys((*ROWS, *VARIANTS)))
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 TRAINING = 'training'
@@ -198,8 +451,7 @@ def train_and_test(context: Context, chosen: list[str], protocol: str) -> dict[s
     }
     weights = train(context, configs)
     cost: dict[str, list[float]] = {name: [] for name in chosen}
-    for (name, _), stem in weights.items():
-        card = read_model(context.pieces / f'{stem}.safetensors').card
-        cost[name].append(card.training[COST])
+    for (name, _), trained in weights.items():
+        cost[name].append(trained.card.training[COST])
     tests = [(spec, weights) for spec in test_specs(sizes, protocol)]
     return aggregate(estimates(context, protocol, tests), cost)

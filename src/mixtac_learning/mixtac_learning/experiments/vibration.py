@@ -17,7 +17,6 @@ acceleration exceeds g: at 50 Hz from an amplitude of 0.1 mm.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +28,12 @@ from mixtac_learning.experiments.harness import (
     PRESET,
     Context,
     Outcome,
-    Piece,
     Row,
     Value,
     experiment,
     texts,
 )
 from mixtac_learning.judge.report import new_axes, save_figure
-from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.segments import Profile, Segment, Tone
@@ -69,42 +66,22 @@ _FINER = 8
 """Zero padding: peaks are located to an eighth of the resolution."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shaken:
-    """Camera data of a vibration.
-
-    Attributes:
-        events: Sorted events; camera clock [us].
-        frame: Image from before the vibration, [260, 346] [DN].
-        span_s: Time in which the vibration is examined [s].
-    """
-
-    events: Events
-    frame: NDArray[np.uint16]
-    span_s: tuple[float, float]
+Shaken = tuple[Events, NDArray[np.uint16]]
 
 
 def shake(kind: str, tone_hz: float, size_mm: float, seed: int) -> Shaken:
-    """Return a vibration of the simulated sensor.
+    """Return events of a vibration of the simulated sensor [us], and a frame from before it [DN].
 
     Args:
         kind: `PRESSED` or `TAPPING`.
         tone_hz: Frequency [Hz].
         size_mm: Amplitude, or depth of the indentation; see `SIZES_MM` [mm].
         seed: Seed of the sensor and of the day.
-
-    Raises:
-        SimulationError: The body would leave the skin of a pressed contact.
     """
     middle, amplitude = DEPTH_MM, size_mm
     if kind == TAPPING:
         amplitude = size_mm / (1.0 - HOVER)
         middle = -HOVER * amplitude
-    elif amplitude >= DEPTH_MM:
-        raise SimulationError(
-            f'an amplitude of {amplitude} mm at a depth of {DEPTH_MM} mm loses contact',
-            remedy='choose a smaller amplitude',
-        )
     tone = Tone(amplitude, tone_hz, 0.0, 0.05)
     end = SHAKEN_S[1]
     segments = (
@@ -116,28 +93,31 @@ def shake(kind: str, tone_hz: float, size_mm: float, seed: int) -> Shaken:
     sensor = TactileSensor(seed, seed, profile, preset=preset(PRESET))
     output = sensor.advance(_us(end))
     still = [f.intensity for f in output.frames if f.frame_end_us < _us(SETTLED_S)]
-    return Shaken(output.events, still[-1], SHAKEN_S)
+    return output.events, still[-1]
 
 
 def _us(seconds: float) -> int:
     return round(1e6 * seconds)
 
 
-def binned(shaken: Shaken, bin_us: int) -> dict[str, NDArray[np.float64]]:
+def binned(
+    events: Events, frame: NDArray[np.uint16], bin_us: int
+) -> dict[str, NDArray[np.float64]]:
     """Return count, ON minus OFF, and flow of the events in each bin of a vibration.
 
     Args:
-        shaken: The vibration.
+        events: Sorted events; camera clock [us].
+        frame: Image from before the vibration, [260, 346] [DN].
         bin_us: Length of a bin [us]; a rest shorter than a bin does not count.
     """
-    start_us, end_us = _us(shaken.span_s[0]), _us(shaken.span_s[1])
-    rows, columns = shaken.frame.shape
+    start_us, end_us = _us(SHAKEN_S[0]), _us(SHAKEN_S[1])
+    rows, columns = frame.shape
     wide = -(-columns // CELL_PX)
     cells, bins = wide * -(-rows // CELL_PX), (end_us - start_us) // bin_us
-    inside = shaken.events.between(start_us, start_us + bins * bin_us)
+    inside = events.between(start_us, start_us + bins * bin_us)
     x, y = inside.x.astype(np.int64), inside.y.astype(np.int64)
     place = (inside.t - start_us) // bin_us * cells + y // CELL_PX * wide + x // CELL_PX
-    slope_y, slope_x = np.gradient(np.log(np.maximum(shaken.frame.astype(np.float64), 1.0)))
+    slope_y, slope_x = np.gradient(np.log(np.maximum(frame.astype(np.float64), 1.0)))
     sign = np.where(inside.polarity, 1.0, -1.0)
     weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
     sums = [np.bincount(place, weight, bins * cells) for weight in weights]
@@ -152,9 +132,9 @@ def binned(shaken: Shaken, bin_us: int) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def spectra(shaken: Shaken) -> dict[str, Any]:
+def spectra(events: Events, frame: NDArray[np.uint16]) -> dict[str, Any]:
     """Return, per signal, `dominant_hz` and `spectrum`, one value per Hz, largest is 1."""
-    signals = {bin_us: binned(shaken, bin_us) for bin_us in set(BINS_US.values())}
+    signals = {bin_us: binned(events, frame, bin_us) for bin_us in set(BINS_US.values())}
     return {name: spectrum_of(signals[bin_us][name], bin_us) for name, bin_us in BINS_US.items()}
 
 
@@ -201,17 +181,9 @@ def vibration(context: Context) -> Outcome:
         for tone in sizes.tones_hz + (sizes.fast_tones_hz if kind == PRESSED else ())
         for seed in range(context.seeds)
     ]
-    pieces = [
-        Piece(
-            f'shake_{kind}_{tone:g}hz_{1e3 * size:g}um_s{seed}',
-            _shaken_spectra,
-            (kind, tone, size, seed),
-        )
-        for kind, tone, size, seed in cases
-    ]
     found: dict[tuple[str, float], list[list[Found]]] = {}
     for (kind, tone, size, seed), result in zip(
-        cases, context.run('vibration', pieces), strict=True
+        cases, context.run('vibration', _shaken_spectra, cases), strict=True
     ):
         by_seed = found.setdefault((kind, size), [[] for _ in range(context.seeds)])
         by_seed[seed - FIRST_SEED].append((tone, result))
@@ -242,8 +214,8 @@ def vibration(context: Context) -> Outcome:
     )
 
 
-def _shaken_spectra(_base: Path, *case: Any) -> dict[str, Any]:  # noqa: ANN401
-    return spectra(shake(*case))
+def _shaken_spectra(*case: Any) -> dict[str, Any]:  # noqa: ANN401
+    return spectra(*shake(*case))
 
 
 def _rows(
@@ -280,18 +252,13 @@ def _draw(path: Path, panels: dict[str, list[Found]]) -> Path:
             np.mean([each['spectrum'] for tone, each in found if tone == chosen], axis=0)
             for chosen in tones
         ]
-        highest = len(columns[0]) - 1
-        # Columns are as wide as the spacing of the tones.
-        middles = 0.5 * (tones[1:] + tones[:-1])
-        half = 0.5 * (tones[1] - tones[0]) if len(tones) > 1 else 5.0
-        edges = np.concatenate([[tones[0] - half], middles, [tones[-1] + half]])
-        picture = np.array(columns).T[30:]
-        heights = np.arange(30, highest + 2) - 0.5
-        mesh = ax.pcolormesh(edges, heights, picture, cmap='magma', vmin=0.0, vmax=1.0)
-        ax.plot([30.0, highest], [30.0, highest], '--', color='#56b4e9', lw=1.0)
-        ax.set(xlim=(edges[0], edges[-1]), ylim=(30.0, highest), xlabel='tone [Hz]')
+        heights = np.arange(30, len(columns[0]))
+        mesh = ax.pcolormesh(
+            tones, heights, np.array(columns).T[30:], cmap='magma', vmin=0.0, vmax=1.0
+        )
+        ax.plot(tones, tones, '--', color='#56b4e9', lw=1.0)
+        ax.set(xlabel='tone [Hz]')
         ax.set_title(f'{title}\nsimulated', fontsize=9)
-        ax.grid(visible=False)
     axes[0].set_ylabel('reconstructed [Hz]')
     figure.colorbar(mesh, ax=axes, label='amplitude / largest', fraction=0.03)
     return save_figure(figure, path)

@@ -27,7 +27,6 @@ from mixtac_fger.fger_net import (
 )
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
-from mixtac_learning.judge.metrics import fit_scale
 from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample, run_samples
@@ -308,18 +307,3 @@ def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> 
         first = next(iter(judged.skipped.values()), 'there are none')
         raise DatasetError(f'none of {len(judged.skipped)} trials can be evaluated: {first}')
     return judged
-
-
-def sensor_scales(estimator: TrialEstimator, presses: Iterable[TrialSource]) -> dict[str, float]:
-    """Return the scale of each sensor from one press against a known force.
-
-    Args:
-        estimator: The model.
-        presses: One trial per sensor that nothing else is judged on.
-
-    Raises:
-        CalibrationError: The model does not see a press.
-        MixtacError: A press cannot be used.
-    """
-    found = (estimator(source.load()) for source in presses)
-    return {press.device: fit_scale(press.force, press.known) for press in found}

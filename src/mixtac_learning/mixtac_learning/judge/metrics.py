@@ -9,52 +9,35 @@ press with a known force gives the ratio, and nothing else has to be learned aga
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.errors import MixtacError
+from mixtac_fger.validity import Reason
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.trials.trial import DatasetError
+
+Forces = NDArray[np.floating]
 
 
 class CalibrationError(MixtacError):
     """A measurement that a sensor cannot be calibrated with."""
 
 
-@dataclass(frozen=True, slots=True)
-class Metrics:
-    """Errors of an estimate against the truth.
-
-    Attributes:
-        samples: Number of samples.
-        mae: Mean absolute error [N].
-        rmse: Root mean square error [N].
-        r2: Coefficient of determination; nan where the truth does not vary.
-        constant_mae: Mean absolute error of the truth's median: what no sensor at all achieves [N].
-        peak_truth: Largest true force [N].
-        peak_estimate: Largest estimated force [N].
-    """
-
-    samples: int
-    mae: float
-    rmse: float
-    r2: float
-    constant_mae: float
-    peak_truth: float
-    peak_estimate: float
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the figures by name, without those that do not exist."""
-        return {name: value for name, value in asdict(self).items() if np.isfinite(value)}
-
-
-def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metrics:
-    """Compare an estimate with the truth.
+def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
+    """Compare an estimate with the truth; all figures but `samples` and `r2` in N.
 
     Args:
         truth: True force [N], 1-d.
         estimate: Estimated force [N] at the same times.
+
+    Returns:
+        `samples`, their number; `mae`, `rmse`; `r2`, the coefficient of determination, absent where
+        the truth does not vary; `constant_mae`, the MAE of the truth's median: what no sensor at
+        all achieves; `peak_truth` and `peak_estimate`, the largest forces.
 
     Raises:
         DatasetError: The arrays are empty or differ in shape.
@@ -67,15 +50,15 @@ def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metr
     truth, estimate = truth.astype(np.float64), estimate.astype(np.float64)
     error = estimate - truth
     spread = float(np.sum((truth - truth.mean()) ** 2))
-    return Metrics(
-        samples=truth.size,
-        mae=float(np.mean(np.abs(error))),
-        rmse=float(np.sqrt(np.mean(error**2))),
-        r2=1.0 - float(np.sum(error**2)) / spread if spread > 0.0 else float('nan'),
-        constant_mae=float(np.mean(np.abs(truth - np.median(truth)))),
-        peak_truth=float(truth.max()),
-        peak_estimate=float(estimate.max()),
-    )
+    found = {
+        'samples': truth.size,
+        'mae': float(np.mean(np.abs(error))),
+        'rmse': float(np.sqrt(np.mean(error**2))),
+        'constant_mae': float(np.mean(np.abs(truth - np.median(truth)))),
+        'peak_truth': float(truth.max()),
+        'peak_estimate': float(estimate.max()),
+    }
+    return found | ({'r2': 1.0 - float(np.sum(error**2)) / spread} if spread > 0.0 else {})
 
 
 INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
@@ -122,10 +105,19 @@ FEWEST_SAMPLES = 50
 """Samples of such forces that a calibration needs."""
 
 
-def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> float:
-    """Fit the scale of a sensor (parameter `force_scale` of the node).
+def best_gain(estimate: Forces, truth: Forces) -> float:
+    """Return the factor of the estimates with the smallest mean absolute error; 1 if all are 0."""
+    used = estimate != 0.0
+    if not used.any():
+        return 1.0
+    ratios = truth[used] / estimate[used]
+    order = np.argsort(ratios)
+    weight = np.cumsum(np.abs(estimate[used])[order])
+    return float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
-    It is the median ratio of true force to estimate, weighted with the force.
+
+def fit_scale(estimate: Forces, truth: Forces) -> float:
+    """Fit the scale of a sensor (parameter `force_scale` of the node), as `best_gain` does.
 
     Args:
         estimate: Estimates with a scale of 1 [N], 1-d.
@@ -140,11 +132,7 @@ def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> fl
         raise CalibrationError(
             f'{count} samples above {SMALLEST_FORCE_N} N: press until there are {FEWEST_SAMPLES}'
         )
-    seen = estimate[pressed]
-    ratios = truth[pressed] / seen
-    order = np.argsort(ratios)
-    weight = np.cumsum(seen[order])
-    return float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
+    return best_gain(estimate[pressed], truth[pressed])
 
 
 PEAK_TOLERANCE_S = 0.01
@@ -164,3 +152,130 @@ def peak_error(
     reach = round(PEAK_TOLERANCE_S / interval_s)
     near = estimate[max(at - reach, 0) : at + reach + 1]
     return float(abs(near.max() - known[at]) / known[at])
+
+
+ALL = 'all'
+"""Row of the figures over all profiles."""
+
+
+def by_profile(
+    estimates: Sequence[TrialEstimate], scales: Mapping[str, float] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return the figures of each profile, and those over all under `all`.
+
+    Args:
+        estimates: Estimates, at least one.
+        scales: Scale of each sensor from another trial, by `TrialEstimate.device`; None for none.
+    """
+    profiles: dict[str, list[TrialEstimate]] = {}
+    for each in estimates:
+        profiles.setdefault(each.profile, []).append(each)
+    rows = {profile: summarise(chosen, scales) for profile, chosen in profiles.items()}
+    return rows | {ALL: summarise(estimates, scales)}
+
+
+def summarise(
+    estimates: Sequence[TrialEstimate], scales: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Return the figures over trials; forces in N, ratios without unit.
+
+    Returns:
+        `trials`; of all windows together the fields of `measure` and of `coverage`; the mean over
+        trials of `peak_error`; `reference_mae` against the measured reference where the true force
+        is the label; `frames_only_mae` where the model has such an output; errors across the
+        normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of the true
+        values, where they are known; with scales `calibrated_mae`, `calibrated_rmse` and the
+        fields of `coverage` after `calibrated_`.
+    """
+    known = _joined(e.known for e in estimates)
+    figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates))
+    figures |= _coverage(estimates)
+    peaks = np.array([peak_error(e.known, e.force, e.interval_s) for e in estimates])
+    if not np.isnan(peaks).all():
+        figures['peak_error'] = float(np.nanmean(peaks))
+    pairs = [(e.across, e.known_across) for e in estimates if e.across is not None]
+    both = [(a, k) for a, k in pairs if k is not None]
+    if both:
+        figures |= across_errors(_joined(a for a, _ in both), _joined(k for _, k in both))
+    for name, errors in (
+        ('reference_mae', [e.force - e.reference for e in estimates if e.reference is not None]),
+        (
+            'frames_only_mae',
+            [e.frames_only - e.known for e in estimates if e.frames_only is not None],
+        ),
+    ):
+        if errors:
+            figures[name] = float(np.abs(_joined(errors)).mean())
+    if scales is not None:
+        scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
+        after = measure(known, _joined(e.force for e in scaled))
+        found = {'mae': after['mae'], 'rmse': after['rmse'], **_coverage(scaled)}
+        figures |= {f'calibrated_{name}': value for name, value in found.items()}
+    return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
+
+
+def _joined(arrays: Iterable[NDArray[Any]]) -> NDArray[np.float64]:
+    return np.concatenate(list(arrays))
+
+
+def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
+    """Return what `coverage` gives over all windows; nothing for a model without deviations."""
+    deviations = [e.deviation for e in estimates if e.deviation is not None]
+    if len(deviations) < len(estimates):
+        return {}
+    return coverage(_joined(e.force - e.known for e in estimates), _joined(deviations))
+
+
+SLOW_SPAN_S = 0.04
+"""Span of the change of the known force by which a window is slow: a frame interval [s]."""
+SLOW_N = 0.02
+"""Largest change within `SLOW_SPAN_S` of a slow window [N]."""
+RIGHT_N = 0.05
+"""Error up to which a force is right [N]."""
+RIGHT_SHARE = 0.1
+"""Share of the known force up to which an error is right as well."""
+COLLAPSE_N = 0.2
+"""Smallest known force at which an estimate can collapse [N]."""
+COLLAPSE_SHARE = 0.25
+"""Share of the known force below which an estimate has collapsed."""
+COLLAPSE_S = 0.05
+"""Shortest collapse [s]."""
+
+
+def trial_row(each: TrialEstimate) -> dict[str, Any]:
+    """Return the figures of one trial or bag; None where the model does not give what they need.
+
+    Returns:
+        `bag`, the name; `mae_n` and `rmse_n` [N]; `mae_best_gain_n`, the MAE after the best gain of
+        this bag; `frames_held_mae_n`, the MAE of the model's force of the latest frame; `slow_...`,
+        the same in windows in which the known force hardly changes; `coverage_68` and
+        `coverage_95`; `falsely_invalid`, the share of windows that are not valid though the force
+        is right; `collapses`, how often the estimate stays near zero under a force.
+    """
+    error, reach = each.force - each.known, max(round(0.5 * SLOW_SPAN_S / each.interval_s), 1)
+    around = np.pad(each.known, reach, 'edge')
+    slow = np.abs(around[2 * reach :] - around[: -2 * reach]) <= SLOW_N
+    held = None if each.frames_only is None else each.frames_only - each.known
+    gained = best_gain(each.force, each.known) * each.force - each.known
+    right = np.abs(error) <= np.maximum(RIGHT_N, RIGHT_SHARE * np.abs(each.known))
+    low = (each.known > COLLAPSE_N) & (each.force < COLLAPSE_SHARE * each.known)
+    turns = np.flatnonzero(np.diff(low.astype(np.int8), prepend=0, append=0))
+    lasting = np.diff(turns)[::2] * each.interval_s >= COLLAPSE_S
+    covered = _coverage([each])
+    invalid = None if each.reasons is None else right & (each.reasons != Reason.TRUSTED)
+    return {
+        'bag': each.name,
+        'mae_n': _mean(np.abs(error)),
+        'mae_best_gain_n': _mean(np.abs(gained)),
+        'rmse_n': round(float(np.sqrt(np.mean(error**2))), 4),
+        'frames_held_mae_n': None if held is None else _mean(np.abs(held)),
+        'slow_mae_n': _mean(np.abs(error[slow])),
+        'slow_frames_held_mae_n': None if held is None else _mean(np.abs(held[slow])),
+        **{name: round(covered[name], 4) if covered else None for name in INTERVALS},
+        'falsely_invalid': None if invalid is None else _mean(invalid),
+        'collapses': int(np.count_nonzero(lasting)),
+    }
+
+
+def _mean(values: NDArray[Any]) -> float | None:
+    return round(float(values.mean()), 4) if len(values) else None

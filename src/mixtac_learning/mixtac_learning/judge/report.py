@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -27,10 +26,9 @@ from mixtac_learning.judge.estimators import (
     TrialEstimate,
     TrialEstimator,
     judge_sources,
-    sensor_scales,
     trial_estimator,
 )
-from mixtac_learning.judge.metrics import across_errors, coverage, measure, peak_error
+from mixtac_learning.judge.metrics import by_profile, fit_scale, trial_row
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource
 from mixtac_sim.world.plans import (
@@ -46,80 +44,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-ALL = 'all'
-"""Row of the figures over all profiles."""
 TRUTH = '#1f1f1f'
 """Colour of the true force."""
 PAPER = '#8a8a8a'
 """Colour of the paper's values."""
-
-
-def by_profile(
-    estimates: Sequence[TrialEstimate], scales: Mapping[str, float] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Return the figures of each profile, and those over all under `all`.
-
-    Args:
-        estimates: Estimates, at least one.
-        scales: Scale of each sensor from another trial, by `TrialEstimate.device`; None for none.
-    """
-    profiles: dict[str, list[TrialEstimate]] = {}
-    for each in estimates:
-        profiles.setdefault(each.profile, []).append(each)
-    rows = {profile: summarise(chosen, scales) for profile, chosen in profiles.items()}
-    return rows | {ALL: summarise(estimates, scales)}
-
-
-def summarise(
-    estimates: Sequence[TrialEstimate], scales: Mapping[str, float] | None = None
-) -> dict[str, Any]:
-    """Return the figures over trials; forces in N, ratios without unit.
-
-    Returns:
-        `trials`; of all windows together the fields of `Metrics` and of `coverage`; the mean over
-        trials of `peak_error`; `reference_mae` against the measured reference where the true force
-        is the label; `frames_only_mae` where the model has such an output; errors across the
-        normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of the true
-        values, where they are known; with scales `calibrated_mae`, `calibrated_rmse` and the
-        fields of `coverage` after `calibrated_`.
-    """
-    known = _joined(e.known for e in estimates)
-    figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates)).to_dict()
-    figures |= _coverage(estimates)
-    peaks = np.array([peak_error(e.known, e.force, e.interval_s) for e in estimates])
-    if not np.isnan(peaks).all():
-        figures['peak_error'] = float(np.nanmean(peaks))
-    pairs = [(e.across, e.known_across) for e in estimates if e.across is not None]
-    both = [(a, k) for a, k in pairs if k is not None]
-    if both:
-        figures |= across_errors(_joined(a for a, _ in both), _joined(k for _, k in both))
-    for name, errors in (
-        ('reference_mae', [e.force - e.reference for e in estimates if e.reference is not None]),
-        (
-            'frames_only_mae',
-            [e.frames_only - e.known for e in estimates if e.frames_only is not None],
-        ),
-    ):
-        if errors:
-            figures[name] = float(np.abs(_joined(errors)).mean())
-    if scales is not None:
-        scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
-        after = measure(known, _joined(e.force for e in scaled))
-        found = {'mae': after.mae, 'rmse': after.rmse, **_coverage(scaled)}
-        figures |= {f'calibrated_{name}': value for name, value in found.items()}
-    return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
-
-
-def _joined(arrays: Iterable[NDArray[Any]]) -> NDArray[np.float64]:
-    return np.concatenate(list(arrays))
-
-
-def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    """Return what `coverage` gives over all windows; nothing for a model without deviations."""
-    deviations = [e.deviation for e in estimates if e.deviation is not None]
-    if len(deviations) < len(estimates):
-        return {}
-    return coverage(_joined(e.force - e.known for e in estimates), _joined(deviations))
 
 
 COLUMNS = (
@@ -355,6 +283,7 @@ def run_evaluation(
         title = f'{path.name} on {gels} unseen sensors, simulated'
         chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
         content |= {'simulated': chosen, 'metrics': {'unseen_devices': rows}}
+    content['rows'] = [trial_row(each) for each in judged.estimates]
     content['skipped'] = judged.skipped
     console = Console(markup=False)
     show_figures(console, title, rows)
@@ -390,6 +319,10 @@ def judge_devices(
 
     Returns:
         The estimates, and figures by profile.
+
+    Raises:
+        CalibrationError: The model does not see a press.
+        MixtacError: No trial can be used.
     """
 
     def sources(specs: Sequence[TrialSpec], title: str) -> Any:  # noqa: ANN401 - rich's own type
@@ -397,7 +330,8 @@ def judge_devices(
 
     chosen = list(devices)
     presses = sources(calibration_plan(chosen, seconds, seed, preset), 'calibrating')
-    scales = sensor_scales(estimator, presses)
+    pressed = [estimator(source.load()) for source in presses]
+    scales = {press.device: fit_scale(press.force, press.known) for press in pressed}
     trials = sources(evaluation_plan(chosen, seconds, seed, preset=preset), 'judging')
     judged = judge_sources(estimator, trials)
     return judged, by_profile(judged.estimates, scales)

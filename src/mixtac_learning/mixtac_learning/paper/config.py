@@ -15,10 +15,10 @@ MODELS = ('fger', 'frames', 'events', 'fusion')
 CORRECTIONS = ('continuous', 'periodic', 'spread')
 """Which estimates are published: every window corrected by the latest frame, or only where one
 arrives, or each correction in equal parts over the cycle after it."""
-LIGHTS = ('intensity', 'relative', 'reference', 'reference_flow')
-"""What the frame network sees: intensities; their logarithm less its mean over the frame, which
-removes lamp and exposure; that less the same of the trial's first frames, without contact; or
-this and, as two more channels, the displacement of the beads since those frames."""
+LIGHTS = ('intensity', 'reference')
+"""What the frame network sees: intensities; or the logarithm of their ratio to those of the first
+frames of the trial, without contact, less its mean over the frame, which removes lamp and
+exposure."""
 NORMS = ('group', 'batch')
 """Normalisation of the frame network: by each frame's own statistics, or by those of training."""
 
@@ -49,8 +49,7 @@ class PaperConfig:
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
         correction: One of `CORRECTIONS`; the estimate that is carried on is corrected once per
             cycle either way.
-        light: One of `LIGHTS`; across days only those with the reference are of use, with `norm`
-            `batch`.
+        light: One of `LIGHTS`; across days only `reference` is of use, with `norm` `batch`.
         norm: One of `NORMS`.
     """
 
@@ -97,11 +96,6 @@ class PaperConfig:
     def frame_shape(self) -> tuple[int, int]:
         """Rows and columns of the frame network's input."""
         return self.height // self.scale, self.width // self.scale
-
-    @property
-    def frame_channels(self) -> int:
-        """Channels of the frame network's input."""
-        return 3 if self.light == 'reference_flow' else 1
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""

@@ -132,9 +132,9 @@ class FrameBackbone(nn.Module):
         super().__init__()
         self._relative = config.light != 'intensity'
         channels = config.channels
-        self.input_scale, self.scale = Scale(config.frame_channels), Scale(channels)
+        self.input_scale, self.scale = Scale(1), Scale(channels)
         self.stem = nn.Sequential(
-            nn.Conv2d(config.frame_channels, channels, 7, stride=2, padding=3, bias=False),
+            nn.Conv2d(1, channels, 7, stride=2, padding=3, bias=False),
             _norm(config),
             nn.ReLU(),
             nn.MaxPool2d(3, stride=2, padding=1),
@@ -145,18 +145,16 @@ class FrameBackbone(nn.Module):
         """Return the frames as the network sees them, before they are scaled.
 
         Args:
-            frames: Intensities of 0 to 1, or their ratio to the reference, and what else there is
-                of the reference, [N, channels, rows, columns].
+            frames: Intensities of 0 to 1, or their ratio to the reference, [N, 1, rows, columns].
 
         Returns:
-            The same with the channels last.
+            The same with the channel last.
         """
         frames = frames.movedim(1, -1)
         if not self._relative:
             return frames
-        logs = torch.log(frames[..., :1].clamp(min=DARK))
-        logs = logs - logs.mean((1, 2), keepdim=True)
-        return torch.cat([logs, frames[..., 1:]], -1)
+        logs = torch.log(frames.clamp(min=DARK))
+        return logs - logs.mean((1, 2), keepdim=True)
 
     def forward(self, frames: Tensor) -> Tensor:
         """Return f_frame [N, channels] of the inputs of `seen`, in full precision.

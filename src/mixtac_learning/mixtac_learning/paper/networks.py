@@ -24,7 +24,7 @@ class SegmentBatch:
     Attributes:
         points: Events of all windows, [E, 4]; see `PointEncoder`.
         packet: Window of each event, t * B + b, int64 [E].
-        frames: The frames, [N, frame_channels, rows, columns], see `FrameBackbone`; or f_frame,
+        frames: The frames, [N, 1, rows, columns], see `FrameBackbone`; or f_frame,
             [N, channels], for FGER-Net where it is known already.
         event_frames: ln(1 + count) of ON and OFF events between each frame and the one before, [N,
             2, rows, columns]; empty unless the model reads them.
@@ -374,7 +374,7 @@ def one_cycle(config: PaperConfig) -> SegmentBatch:
     return SegmentBatch(
         points=torch.rand(windows * config.events_per_packet, 4),
         packet=torch.arange(windows).repeat_interleave(config.events_per_packet),
-        frames=torch.rand(1, config.frame_channels, rows, columns),
+        frames=torch.rand(1, 1, rows, columns),
         event_frames=torch.rand(1, 2, rows, columns),
         slots=slots,
         before=torch.tensor([-1]),

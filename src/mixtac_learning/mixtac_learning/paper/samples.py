@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.frames import bin_mean, displacement, log_contrast
-from mixtac_fger.config import FgerConfig
+from mixtac_core.events.frames import bin_mean
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, PaperState, SegmentBatch
-from mixtac_learning.trials.samples import read_arrays, write_arrays
+from mixtac_learning.trials.samples import Recipe
 from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
 
 
@@ -128,45 +126,10 @@ class PaperSample:
         return frame_input(self.frames[frames], self.frames[:SETTLE_FRAMES], config)
 
 
-_ARRAYS = PaperSample.__slots__[:-1]
-_ORIGIN = 'origin.json'
-
-
-@dataclass(frozen=True, slots=True)
-class PaperRecipe:
-    """Recipe of the samples of the paper's networks.
-
-    Attributes:
-        config: Shapes.
-    """
-
-    config: PaperConfig
-    suffix = '.paper'
-
-    def fingerprint(self) -> dict[str, Any]:
-        """Return what changes a sample."""
-        fields = self.config.to_dict()
-        return {'kind': 'paper 2'} | {name: fields[name] for name in _SEEN}
-
-    def write(self, trial: TrialArrays, path: Path) -> None:
-        """Prepare a trial and write it as a folder, whole or not at all.
-
-        Raises:
-            DatasetError: As `make_paper_sample`, or the disk is full.
-        """
-        sample = make_paper_sample(self.config, trial)
-        arrays = {name: getattr(sample, name) for name in _ARRAYS}
-        write_arrays(path, arrays, sample.origin, _ORIGIN)
-
-
-def load_paper_sample(path: Path) -> PaperSample:
-    """Map a sample.
-
-    Raises:
-        DatasetError: The folder is missing or damaged.
-    """
-    arrays, origin = read_arrays(path, _ORIGIN, _ARRAYS)
-    return PaperSample(**arrays, origin=origin)
+def paper_recipe(config: PaperConfig) -> Recipe:
+    """Return the recipe of the samples of the paper's networks."""
+    seen = {name: getattr(config, name) for name in _SEEN}
+    return Recipe('paper', config, make_paper_sample, {'kind': 'paper 2'} | seen)
 
 
 def make_paper_sample(config: PaperConfig, trial: TrialArrays) -> PaperSample:
@@ -208,7 +171,7 @@ def make_paper_sample(config: PaperConfig, trial: TrialArrays) -> PaperSample:
 def frame_input(
     frames: NDArray[np.float16], still: NDArray[np.float16], config: PaperConfig
 ) -> NDArray[np.float32]:
-    """Return frames as the input of `FrameBackbone`, [n, channels, rows, columns].
+    """Return frames as the input of `FrameBackbone`, [n, 1, rows, columns].
 
     Args:
         frames: Intensities of 0 to 1, float16 [n, rows, columns].
@@ -216,24 +179,11 @@ def frame_input(
         config: Configuration of the network, whose `light` decides.
     """
     seen = frames.astype(np.float32)
-    if config.light not in {'reference', 'reference_flow'}:
-        return seen[:, None]
-    rest = np.mean(still, axis=0, dtype=np.float32)
-    channels = np.empty((len(seen), config.frame_channels, *rest.shape), np.float32)
-    # Above zero: the converter's lowest bit.
-    np.divide(seen, np.maximum(rest, np.float32(1.0 / FULL_SCALE)), out=channels[:, 0])
-    if config.light == 'reference_flow':
-        radius = max(_OURS.flow_radius * _OURS.frame_bin // config.scale, 1)
-        logs, work = np.empty((2, *rest.shape), np.float32), np.empty((9, *rest.shape), np.float32)
-        log_contrast(rest, _OURS.log_floor, logs[0])
-        for frame, flow in zip(seen, channels[:, 1:], strict=True):
-            log_contrast(frame, _OURS.log_floor, logs[1])
-            displacement(logs[0], logs[1], radius, _OURS.flow_regularisation, work, flow)
-    return channels
-
-
-_OURS = FgerConfig()
-"""The displacement is measured as for our network."""
+    if config.light == 'reference':
+        rest = np.mean(still, axis=0, dtype=np.float32)
+        # Above zero: the converter's lowest bit.
+        seen /= np.maximum(rest, np.float32(1.0 / FULL_SCALE))
+    return seen[:, None]
 
 
 def _reduced(config: PaperConfig, frames: NDArray[np.uint16]) -> NDArray[np.float16]:
@@ -343,7 +293,7 @@ class FrameBatch(NamedTuple):
     """Single frames of any trials.
 
     Attributes:
-        frames: [N, channels, rows, columns], as in `SegmentBatch`.
+        frames: [N, 1, rows, columns], as in `SegmentBatch`.
         event_frames: [N, 2, rows, columns], as in `SegmentBatch`.
         force: Force that each shows [N], [N].
     """

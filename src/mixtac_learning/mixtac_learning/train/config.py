@@ -157,7 +157,6 @@ class RunConfig:
         network: Fields of the network's configuration that differ from its defaults.
         training: Fields of the training settings that differ from their defaults.
         data: What to train on.
-        device: `auto` (a GPU where there is one), `cpu`, `cuda`.
         judged: Simulated sensors that no training used, on which the model is judged afterwards,
             and half as many that were trained on; 0 judges nothing.
         start: Weight file of `ours` to adapt, or name of a shipped model: the network is that of
@@ -169,7 +168,6 @@ class RunConfig:
     network: dict[str, Any] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
     data: DataConfig = field(default_factory=DataConfig)
-    device: str = 'auto'
     judged: int = 6
     start: str = ''
 
@@ -191,9 +189,9 @@ class RunConfig:
             )
 
     def fingerprint(self) -> str:
-        """Return a text of all that changes the result; not where it is written or computed."""
+        """Return a text of all that changes the result; not where it is written."""
         fields = dataclasses.asdict(self)
-        for name in ('out', 'device', 'judged'):
+        for name in ('out', 'judged'):
             fields.pop(name)
         fields['data'].pop('cache')
         return json.dumps(fields, sort_keys=True)

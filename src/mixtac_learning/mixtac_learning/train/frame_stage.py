@@ -22,7 +22,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import FgerNetwork, FrameSlots
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Processes, Stage
-from mixtac_learning.trials.samples import Sample, load_sample, sample_origin, sample_windows
+from mixtac_learning.trials.samples import Sample, load_sample
 from mixtac_learning.trials.trial import DatasetError, sensor_of
 
 
@@ -138,8 +138,7 @@ class DiskGroups:
     """Groups of sample files; one is in memory at a time.
 
     Args:
-        paths: Sample files.
-        config: Network configuration.
+        paths: Folders of samples.
         group_size: Trials per group.
         own: Which of the files this process reads; None for all. Groups of all processes are
             equally long, so that they make the same number of updates.
@@ -151,7 +150,6 @@ class DiskGroups:
     def __init__(
         self,
         paths: Sequence[Path],
-        config: FgerConfig,
         group_size: int,
         own: Sequence[int] | None = None,
     ) -> None:
@@ -160,13 +158,17 @@ class DiskGroups:
             raise DatasetError(
                 f'{len(paths)} trials are too few to share: start fewer processes, or give more'
             )
-        origins = [sample_origin(path) for path in paths]
-        keys = [sensor_of(each, f'trial {index}') for index, each in enumerate(origins)]
+        # One at a time is mapped: there may be more files than a process may open.
+        facts = [
+            (sensor_of(sample.origin, f'trial {index}'), len(sample.force))
+            for index, sample in enumerate(load_sample(path, Sample) for path in paths)
+        ]
+        keys = [key for key, _ in facts]
         order = {key: number for number, key in enumerate(sorted(set(keys)))}
         self._numbers = [order[key] for key in keys]
         self.devices = len(order)
-        self._length = max(sample_windows(path) for path in paths)
-        self._paths, self._config = list(paths), config
+        self._length = max(windows for _, windows in facts)
+        self._paths = list(paths)
         self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]
         self._kept: tuple[int, Sequences] | None = None
 
@@ -183,7 +185,7 @@ class DiskGroups:
         if self._kept is None or self._kept[0] != index:
             self._kept = None
             members = self._groups[index]
-            samples = [load_sample(self._paths[i], self._config) for i in members]
+            samples = [load_sample(self._paths[i], Sample) for i in members]
             numbers = [self._numbers[i] for i in members]
             self._kept = index, stack(samples, numbers, self._length)
         return self._kept[1]

@@ -3,9 +3,8 @@
 """The training loop: stages of epochs, learning-rate schedule, early stopping, checkpoints.
 
 A checkpoint is one safetensors file with the weights, the best weights so far, the moments of the
-optimiser and the state of the random generators; everything else is JSON in its header. It is
-replaced only when the new one is complete, so a killed run always leaves a whole file to resume
-from.
+optimiser and the state of the random generators. It is replaced only when the new one is complete,
+so a killed run always leaves a whole file to resume from.
 """
 
 from __future__ import annotations
@@ -50,13 +49,12 @@ class Processes:
         world = int(os.environ.get('WORLD_SIZE', '1'))
         if world <= 1:
             return Processes()
-        if not dist.is_initialized():
-            dist.init_process_group('gloo', timeout=PATIENCE)
+        dist.init_process_group('gloo', timeout=PATIENCE)
         return Processes(dist.get_rank(), world)
 
     def leave(self) -> None:
         """Leave the group, all at once: a process whose peers are gone may be aborted."""
-        if self.world > 1 and dist.is_initialized():
+        if self.world > 1:
             dist.barrier()
             dist.destroy_process_group()
 
@@ -68,21 +66,6 @@ class Processes:
     def share(self, items: Sequence[int]) -> list[int]:
         """Return this process's part of a sequence, of nearly equal size."""
         return list(items[self.rank :: self.world])
-
-    def average_gradients(self, parameters: Sequence[nn.Parameter]) -> None:
-        """Average the gradients over all processes; a missing one counts as zero."""
-        if self.world == 1:
-            return
-        for parameter in parameters:
-            if parameter.grad is None:
-                parameter.grad = torch.zeros_like(parameter)
-        flat = torch.cat([p.grad.flatten() for p in parameters if p.grad is not None])
-        flat = self.mean(flat)
-        start = 0
-        for parameter in parameters:
-            size = parameter.numel()
-            parameter.grad = flat[start : start + size].view_as(parameter).clone()
-            start += size
 
     def mean(self, tensor: Tensor) -> Tensor:
         """Return the mean of a tensor over all processes."""
@@ -100,11 +83,14 @@ class Processes:
         dist.all_reduce(value, dist.ReduceOp.MIN)
         return int(value)
 
+    def average_gradients(self, parameters: Sequence[nn.Parameter]) -> None:
+        """Average the gradients over all processes; a missing one counts as zero."""
+        for each in parameters if self.world > 1 else ():
+            each.grad = self.mean(torch.zeros_like(each) if each.grad is None else each.grad)
+
     def average_buffers(self, module: nn.Module) -> None:
         """Give all processes the mean of the running statistics."""
-        if self.world == 1:
-            return
-        for buffer in module.buffers():
+        for buffer in module.buffers() if self.world > 1 else ():
             if buffer.is_floating_point():
                 buffer.copy_(self.mean(buffer))
 
@@ -114,8 +100,8 @@ class Processes:
             dist.barrier()
 
 
-Report = Callable[[str, int, int, float, float | None], None]
-"""Called after each epoch: stage, epochs done, of how many, mean loss, validation error."""
+Show = Callable[[str, int, int, str], None]
+"""Shows progress: name of the task, how much of it is done, of how much, and a text."""
 
 
 class TrainingError(MixtacError):
@@ -146,9 +132,6 @@ def schedule_factor(name: str, part: float) -> float:
     return _LAST + 0.5 * (1.0 - _LAST) * (1.0 + math.cos(math.pi * phase))
 
 
-SCHEMA = '2'
-
-
 @dataclass(slots=True)
 class Progress:
     """How far a run is.
@@ -169,43 +152,16 @@ class Progress:
     curves: list[dict[str, Any]] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Checkpoint:
-    """What `load_checkpoint` found.
-
-    Attributes:
-        progress: Progress of the run.
-        tensors: By name, as written.
-    """
-
-    progress: Progress
-    tensors: dict[str, Tensor]
-
-    def part(self, prefix: str) -> dict[str, Tensor]:
-        """Return the tensors whose names begin with a prefix, without it."""
-        cut = len(prefix)
-        return {k[cut:]: v for k, v in self.tensors.items() if k.startswith(prefix)}
-
-    def restore_optimiser(self, optimiser: torch.optim.Optimizer) -> None:
-        """Give an optimiser its moments back."""
-        for index, parameter in enumerate(_parameters(optimiser)):
-            found = self.part(f'optimiser.{index}.')
-            if found:
-                optimiser.state[parameter] = {
-                    name: value if name == 'step' else value.to(parameter.device)
-                    for name, value in found.items()
-                }
+Parts = dict[str, dict[str, Tensor]]
+"""Tensors of a checkpoint by part (`model`, `best`, `optimiser`, `random`) and name."""
 
 
-def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
-    """Read a checkpoint.
+def load_checkpoint(path: Path, fingerprint: str) -> tuple[Progress, Parts] | None:
+    """Return progress and tensors of a checkpoint, None where there is none.
 
     Args:
         path: File.
         fingerprint: Fingerprint of the run to be resumed.
-
-    Returns:
-        The checkpoint, None where there is none.
 
     Raises:
         TrainingError: It belongs to a run with other settings or data, or cannot be read.
@@ -213,17 +169,27 @@ def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
     if not path.exists():
         return None
     header, arrays = read_tensors(path, TrainingError, 'remove it to start over')
-    if header.get('schema') != SCHEMA or header.get('fingerprint') != fingerprint:
+    if header.get('fingerprint') != fingerprint:
         raise TrainingError(
             f'{path} belongs to a run with other settings or other data',
             remedy='give another folder with --folder, or remove it to start over',
         )
-    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
-    return Checkpoint(Progress(**json.loads(header['progress'])), tensors)
+    parts: Parts = {'best': {}, 'optimiser': {}}
+    for name, array in arrays.items():
+        part, _, rest = name.partition('.')
+        parts.setdefault(part, {})[rest] = torch.from_numpy(array)
+    return Progress(**json.loads(header['progress'])), parts
 
 
-def _parameters(optimiser: torch.optim.Optimizer) -> list[nn.Parameter]:
-    return [parameter for group in optimiser.param_groups for parameter in group['params']]
+def save_checkpoint(path: Path, fingerprint: str, progress: Progress, parts: Parts) -> None:
+    """Write a checkpoint."""
+    header = {'fingerprint': fingerprint, 'progress': json.dumps(asdict(progress))}
+    arrays = {
+        f'{part}.{name}': value.detach().cpu().numpy()
+        for part, tensors in parts.items()
+        for name, value in tensors.items()
+    }
+    write_tensors(path, arrays, header)
 
 
 class Stage(ABC):
@@ -259,6 +225,15 @@ class Stage(ABC):
         return None
 
 
+def _restore(optimiser: torch.optim.Optimizer, stored: dict[str, Tensor]) -> None:
+    """Give an optimiser its moments back."""
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in stored.items():
+        index, _, kind = name.partition('.')
+        moments.setdefault(int(index), {})[kind] = value
+    optimiser.load_state_dict(optimiser.state_dict() | {'state': moments})
+
+
 GRADIENT_NORM = 1.0
 """Gradients are scaled down to this norm."""
 
@@ -276,7 +251,7 @@ class TrainingLoop:
             back to its best weights, be it those that it began with; 0 for never.
         checkpoint: File of the checkpoint; None for none.
         fingerprint: Identifies the run; a checkpoint of another run is refused.
-        report: Called after each epoch.
+        show: Called after each epoch.
         processes: Processes that share the training.
         mixed: In bfloat16 on a CPU as well.
         progress: Progress of the run.
@@ -290,7 +265,7 @@ class TrainingLoop:
     patience: int = 0
     checkpoint: Path | None = None
     fingerprint: str = ''
-    report: Report = lambda *_: None
+    show: Show = lambda *_: None
     processes: Processes = field(default_factory=Processes)
     mixed: bool = False
     progress: Progress = field(default_factory=Progress)
@@ -304,17 +279,16 @@ class TrainingLoop:
         found = load_checkpoint(self.checkpoint, self.fingerprint) if self.checkpoint else None
         random = torch.Generator().manual_seed(self.seed)
         if found is not None:
-            self.progress = found.progress
-            self.module.load_state_dict(found.part('model.'))
-            random.set_state(found.tensors['random'])
-            torch.set_rng_state(found.tensors['global_random'])
+            self.progress, parts = found
+            self.module.load_state_dict(parts['model'])
+            random.set_state(parts['random']['stages'])
+            torch.set_rng_state(parts['random']['global'])
         for stage in stages[self.progress.stage :]:
-            self._run_stage(stage, random, found)
+            self._run_stage(stage, random, found and found[1])
             found = None
-            self.progress.stage += 1
-            self.progress.epoch, self.progress.best, self.progress.since_best = 0, None, 0
+            self.progress = Progress(self.progress.stage + 1, curves=self.progress.curves)
 
-    def _run_stage(self, stage: Stage, random: torch.Generator, found: Checkpoint | None) -> None:
+    def _run_stage(self, stage: Stage, random: torch.Generator, found: Parts | None) -> None:
         progress = self.progress
         if progress.epoch == 0:
             stage.begin()
@@ -323,8 +297,8 @@ class TrainingLoop:
         )
         best: dict[str, Tensor] = {}
         if found is not None:
-            found.restore_optimiser(optimiser)
-            best = found.part('best.')
+            _restore(optimiser, found['optimiser'])
+            best = found['best']
         elif self.patience:
             # No stage ends with worse weights than it began with.
             progress.best = self._validate(stage)
@@ -342,14 +316,21 @@ class TrainingLoop:
                     progress.best, progress.since_best = error, 0
                     best = self._weights()
             row = {'stage': stage.name, 'epoch': progress.epoch, 'loss': loss, 'validation': error}
-            took = {
-                'seconds': time.monotonic() - started,
-                'core_seconds': time.process_time() - busy,
-            }
-            progress.curves.append(row | {name: round(each, 2) for name, each in took.items()})
-            self.report(stage.name, progress.epoch, stage.epochs, loss, error)
+            row['seconds'] = round(time.monotonic() - started, 2)
+            row['core_seconds'] = round(time.process_time() - busy, 2)
+            progress.curves.append(row)
+            checked = '' if error is None else f', validation {error:.4f} N'
+            text = f'{stage.name}, loss {loss:.5f} N{checked}'
+            self.show(stage.name, progress.epoch, stage.epochs, text)
             if self.checkpoint is not None and self.processes.leads:
-                self._save(self.checkpoint, best, optimiser, random)
+                moments = optimiser.state_dict()['state']
+                parts = {
+                    'model': self.module.state_dict(),
+                    'best': best,
+                    'optimiser': {f'{i}.{k}': v for i, s in moments.items() for k, v in s.items()},
+                    'random': {'stages': random.get_state(), 'global': torch.get_rng_state()},
+                }
+                save_checkpoint(self.checkpoint, self.fingerprint, progress, parts)
             self.processes.wait()
         if best and self.patience:
             self.module.load_state_dict(best)
@@ -357,34 +338,12 @@ class TrainingLoop:
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
-    def _save(
-        self,
-        path: Path,
-        best: dict[str, Tensor],
-        optimiser: torch.optim.Optimizer,
-        random: torch.Generator,
-    ) -> None:
-        """Write a checkpoint."""
-        tensors = {f'model.{name}': value for name, value in self.module.state_dict().items()}
-        tensors |= {f'best.{name}': value for name, value in best.items()}
-        tensors |= {'random': random.get_state(), 'global_random': torch.get_rng_state()}
-        for index, parameter in enumerate(_parameters(optimiser)):
-            for name, value in optimiser.state.get(parameter, {}).items():
-                tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
-        header = {
-            'schema': SCHEMA,
-            'fingerprint': self.fingerprint,
-            'progress': json.dumps(asdict(self.progress)),
-        }
-        arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
-        write_tensors(path, arrays, header)
-
     def _epoch(
         self, stage: Stage, optimiser: torch.optim.Optimizer, random: torch.Generator
     ) -> float:
         """Make the updates of one epoch and return their mean loss."""
         self.module.train()
-        parameters = _parameters(optimiser)
+        parameters = [each for group in optimiser.param_groups for each in group['params']]
         updates = max(self.processes.smallest(stage.updates()), 1)
         total, count = 0.0, 0
         device = parameters[0].device.type

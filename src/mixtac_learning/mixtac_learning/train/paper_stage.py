@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from mixtac_learning.network import usual_device
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.layers import SAME, Scale
 from mixtac_learning.paper.networks import (
@@ -130,7 +131,7 @@ class PaperStage(Stage):
     name: str
     epochs: int
     rate: float
-    network: PaperNetwork
+    network: Any
     samples: Sequence[PaperSample]
     settings: PaperTraining
     processes: Processes
@@ -141,7 +142,7 @@ class PaperStage(Stage):
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return next(self.network.parameters()).device
+        return torch.device(next(self.network.parameters()).device)
 
     @property
     def frozen(self) -> tuple[str, ...]:
@@ -203,7 +204,7 @@ class FrameStage(PaperStage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
-        network, found = self._network, arrivals(self.samples, self.own)
+        network, found = self.network, arrivals(self.samples, self.own)
         known = self._encoded(self.samples, found) if 'frame' in self.frozen else None
         order = torch.randperm(len(found), generator=random)
         size = self.settings.frame_batch
@@ -227,13 +228,7 @@ class FrameStage(PaperStage):
             return None
         found = arrivals(self.checked, range(len(self.checked)))
         features, known = self._encoded(self.checked, found)
-        return float((self._network.force_of(features) - known).abs().mean())
-
-    @property
-    def _network(self) -> FgerPaper | FrameModel:
-        if isinstance(self.network, EventsOnly):
-            raise TrainingError('a network without frames has no frame stage')
-        return self.network
+        return float((self.network.force_of(features) - known).abs().mean())
 
     def _features(
         self, samples: Sequence[PaperSample], chosen: NDArray[np.int64]
@@ -241,7 +236,7 @@ class FrameStage(PaperStage):
         """Return features and labels of frames, sorted by trial."""
         batch = frame_batch(samples, chosen, self.network.config)
         frames, event_frames, known = (part.to(self.device) for part in batch)
-        return self._network.features(frames, event_frames), known
+        return self.network.features(frames, event_frames), known
 
     @torch.no_grad()
     def _encoded(
@@ -306,15 +301,18 @@ class EventStage(PaperStage):
             for trial in trials
             for start in range(1, len(samples[trial].force) - _STRETCH, _STRETCH // 5)
         ]
-        ends = [
-            (samples[s.trial].force[s.stop - 1], samples[s.trial].force[s.start]) for s in every
+        found = [
+            s
+            for s in every
+            if abs(samples[s.trial].force[s.stop - 1] - samples[s.trial].force[s.start]) > _MOVES_N
         ]
-        found = [s for s, (a, b) in zip(every, ends, strict=True) if abs(a - b) > _MOVES_N]
         return found or every
 
 
 def run_stretches(
-    network: PaperNetwork, samples: Sequence[PaperSample], chosen: Sequence[Segment]
+    network: Any,  # noqa: ANN401 - one of two classes with a recurrence
+    samples: Sequence[PaperSample],
+    chosen: Sequence[Segment],
 ) -> tuple[Tensor, Tensor]:
     """Run the event path alone through stretches, from the true force and an empty memory.
 
@@ -325,12 +323,7 @@ def run_stretches(
 
     Returns:
         Estimated and true force [N], float32 [windows, stretches].
-
-    Raises:
-        TrainingError: The network has no recurrence.
     """
-    if isinstance(network, FrameModel):
-        raise TrainingError('a network without recurrence has no event path')
     recurrence, config = network.recurrence, replace(network.config, model='events')
     state = network.initial_state(len(chosen))
     device = state.force.device
@@ -375,26 +368,22 @@ class RecurrentStage(PaperStage):
                 yield self.loss(force, batch.force.to(self.device))
                 start, stop, left = stop, stop + self._windows, left - 1
 
+    @torch.no_grad()
     def _features(self) -> list[NDArray[np.float32]]:
         """Return f_frame of all frames by trial, where the frame network does not learn."""
         if not isinstance(self.network, FgerPaper) or not self.frozen:
             return []
-        if not self._kept:
-            self._kept = dict(enumerate(map(self._encode, self.samples)))
+        for trial, sample in enumerate(self.samples if not self._kept else ()):
+            seen = sample.seen(np.arange(len(sample.frames)), self.network.config)
+            frames = torch.from_numpy(seen).to(self.device)
+            with self.plainly():
+                parts = [self.network.frame(part) for part in torch.split(frames, _ENCODED)]
+            self._kept[trial] = np.asarray(torch.cat(parts).cpu().numpy(), np.float32)
         return [self._kept[trial] for trial in range(len(self.samples))]
-
-    @torch.no_grad()
-    def _encode(self, sample: PaperSample) -> NDArray[np.float32]:
-        seen = sample.seen(np.arange(len(sample.frames)), self.network.config)
-        frames = torch.from_numpy(seen).to(self.device)
-        with self.plainly():
-            encode = self.network.get_submodule('frame')
-            parts = [encode(part) for part in torch.split(frames, _ENCODED)]
-        return np.asarray(torch.cat(parts).cpu().numpy(), np.float32)
 
     @property
     def _windows(self) -> int:
-        return self.settings.cycles * (CYCLE_US // self.network.config.window_us)
+        return int(self.settings.cycles * (CYCLE_US // self.network.config.window_us))
 
     def _groups(self) -> list[list[int]]:
         """Return trials that run side by side, the longest first."""
@@ -455,7 +444,6 @@ def train_paper(
     samples: Sequence[PaperSample],
     checked: Sequence[PaperSample],
     *,
-    device: str,
     processes: Processes,
     **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
@@ -468,16 +456,15 @@ def train_paper(
         settings: The recipe.
         samples: Trials to train on.
         checked: Trials to validate on.
-        device: Device to compute on.
         processes: Processes that share the training.
-        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or there are fewer trials than processes.
     """
     torch.manual_seed(settings.seed)
     network = build(config)
-    network.to(device)
+    network.to(usual_device())
     fit_scales(network, samples)
     own = processes.share(range(len(samples)))
     if not own:
@@ -492,23 +479,20 @@ def train_paper(
         mixed=settings.mixed,
         **options,
     )
-    kinds: dict[str, type[PaperStage]] = {'frames': FrameStage}
-    if not isinstance(network, FrameModel):
-        kinds = {'events': EventStage, 'recurrent': RecurrentStage, 'joint': RecurrentStage}
-        kinds = ({'frames': FrameStage} if isinstance(network, FgerPaper) else {}) | kinds
-    else:
-        kinds |= {'joint': FrameStage}
-    plan = {
-        'frames': (settings.frame_epochs, settings.frame_rate),
-        'events': (settings.event_epochs, settings.event_rate),
-        'recurrent': (settings.recurrent_epochs, settings.recurrent_rate),
-        'joint': (settings.joint_epochs, settings.joint_rate),
-    }
-    loop.run(
-        [
-            kind(name, *plan[name], network, samples, settings, processes, own, checked)
-            for name, kind in kinds.items()
-            if plan[name][0]
-        ]
-    )
+    recurrent = not isinstance(network, FrameModel)
+    plan: list[tuple[type[PaperStage], str, bool]] = [
+        (FrameStage, 'frame', not isinstance(network, EventsOnly)),
+        (EventStage, 'event', recurrent),
+        (RecurrentStage, 'recurrent', recurrent),
+        (RecurrentStage if recurrent else FrameStage, 'joint', True),
+    ]
+    stages = []
+    for kind, name, has in plan:
+        epochs, rate = (getattr(settings, f'{name}_{each}') for each in ('epochs', 'rate'))
+        if has and epochs:
+            title = {'frame': 'frames', 'event': 'events'}.get(name, name)
+            stages.append(
+                kind(title, epochs, rate, network, samples, settings, processes, own, checked)
+            )
+    loop.run(stages)
     return network.cpu().eval(), loop.progress.curves

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,23 +21,23 @@ from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.fger_net import checked_config
 from mixtac_fger.weights import Model, ModelCard, find_model, read_model, save_model
 from mixtac_learning.judge.estimators import judge_sources, trial_estimator
+from mixtac_learning.judge.metrics import by_profile
 from mixtac_learning.judge.report import (
-    by_profile,
     judge_devices,
     show_figures,
     show_skipped,
 )
-from mixtac_learning.network import model_of, network_of, usual_device
+from mixtac_learning.network import model_of, network_of
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
-from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
+from mixtac_learning.paper.samples import PaperSample, paper_recipe
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
 from mixtac_learning.train.frame_stage import DiskGroups
-from mixtac_learning.train.loop import Processes, Report, TrainingError
+from mixtac_learning.train.loop import Processes, Show
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_learning.trials.samples import FgerRecipe, prepare
+from mixtac_learning.trials.samples import Recipe, fger_recipe, load_sample, prepare
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource, sensor_of
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
@@ -48,7 +48,7 @@ from mixtac_sim.world.plans import (
 )
 
 
-def recipe_of(config: RunConfig) -> FgerRecipe | PaperRecipe:
+def recipe_of(config: RunConfig) -> Recipe:
     """Return how the network of a run needs its samples.
 
     Raises:
@@ -56,32 +56,10 @@ def recipe_of(config: RunConfig) -> FgerRecipe | PaperRecipe:
         ModelError: The weight file to start from cannot be used.
     """
     if config.start:
-        network = checked_config(read_model(find_model(config.start)))
-        return FgerRecipe(network)
+        return fger_recipe(checked_config(read_model(find_model(config.start))))
     if config.model == OURS:
-        network = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
-        return FgerRecipe(network)
-    paper = PaperConfig.from_dict({'model': config.model} | config.network)
-    return PaperRecipe(paper)
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingData:
-    """Samples of a run.
-
-    Attributes:
-        trained: Files to train on.
-        checked: Files to validate on.
-        sources: Where the samples to train on came from.
-        held: Where the samples to validate on came from.
-        skipped: Why a trial was left out, by its name.
-    """
-
-    trained: list[Path]
-    checked: list[Path]
-    sources: list[TrialSource]
-    held: list[TrialSource]
-    skipped: dict[str, str]
+        return fger_recipe(FgerConfig.from_dict(FgerConfig().to_dict() | config.network))
+    return paper_recipe(PaperConfig.from_dict({'model': config.model} | config.network))
 
 
 def training_sources(data: DataConfig) -> list[TrialSource]:
@@ -110,48 +88,7 @@ def training_sources(data: DataConfig) -> list[TrialSource]:
     return found
 
 
-def gather(
-    data: DataConfig,
-    recipe: FgerRecipe | PaperRecipe,
-    jobs: int,
-    on_progress: Callable[[int, int], None],
-    processes: Processes,
-) -> TrainingData:
-    """Prepare the samples of a run; whole trials are held out, drawn at random.
-
-    Args:
-        data: What to train on.
-        recipe: Recipe of the samples.
-        jobs: Processes that prepare.
-        on_progress: Called with the number of trials done and of all.
-        processes: Processes that share the training; one prepares, the others find the files.
-
-    Raises:
-        DatasetError: No trial can be used.
-    """
-    sources, folder = training_sources(data), Path(data.cache)
-    if not processes.leads:
-        processes.wait()
-    own_jobs = jobs if processes.leads else 1
-    prepared = prepare(
-        sources, [recipe], folder, own_jobs, lambda done: on_progress(done, len(sources))
-    )
-    if processes.leads:
-        processes.wait()
-    sensors = [sensor_of(sources[kept].origin, f'trial {kept}') for kept in prepared.kept]
-    held = held_out(sensors, data.checked)
-    paths = [path for (path,) in prepared.paths]
-    trained = [index for index in range(len(paths)) if index not in held]
-    return TrainingData(
-        [paths[index] for index in trained],
-        [paths[index] for index in held],
-        [sources[prepared.kept[index]] for index in trained],
-        [sources[prepared.kept[index]] for index in held],
-        prepared.skipped,
-    )
-
-
-def held_out(sensors: Sequence[str], part: float) -> list[int]:
+def held_out(sensors: Mapping[int, str], part: float) -> list[int]:
     """Return the numbers of the trials to validate on, ascending; the same for the same sensors.
 
     They are drawn at random: presets and profiles take turns, and every n-th trial might be all
@@ -159,35 +96,36 @@ def held_out(sensors: Sequence[str], part: float) -> list[int]:
     enough: the errors on a sensor that was trained on say little about another one.
 
     Args:
-        sensors: Which sensor each trial was made with.
+        sensors: Which sensor each trial was made with, by the number of the trial.
         part: Part of them, 0 for none; at least one is left to train on.
     """
     if part <= 0.0:
         return []
-    different = list(dict.fromkeys(sensors))
+    different = list(dict.fromkeys(sensors.values()))
     if part * len(different) < 1.0:
-        different, sensors = (list(map(str, range(len(sensors)))) for _ in range(2))
+        different = [str(index) for index in sensors]
+        sensors = dict(zip(sensors, different, strict=True))
     size = min(max(round(part * len(different)), 1), len(different) - 1)
     drawn = set(random.Random(0).sample(different, size))  # noqa: S311  (no secret)
-    return [index for index, sensor in enumerate(sensors) if sensor in drawn]
+    return [index for index, sensor in sensors.items() if sensor in drawn]
 
 
-def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) -> dict[str, Any]:
+def provenance(
+    config: RunConfig, sources: Sequence[TrialSource], settings: dict[str, Any]
+) -> dict[str, Any]:
     """Return the description of the training for the weight file, JSON-ready.
 
     Args:
         config: The run.
-        data: Its samples.
+        sources: Trials that are trained on.
         settings: All its training settings.
     """
-    origins = [source.origin for source in data.sources]
+    origins = [source.origin for source in sources]
     simulated = all(origin.get('simulated') or 'trial_seed' in origin for origin in origins)
     found: dict[str, Any] = {
         'model': config.model,
         'data': 'simulated (mixtac_sim)' if simulated else 'bags',
-        'trials': len(data.trained),
-        'held_out_trials': len(data.checked),
-        'skipped_trials': data.skipped,
+        'trials': len(sources),
         'profiles': sorted({str(origin.get('profile', 'unknown')) for origin in origins}),
         'settings': settings,
     }
@@ -206,9 +144,6 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
     return found
 
 
-CHECKPOINT = 'checkpoint.safetensors'
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
     """The result of a run.
@@ -216,12 +151,16 @@ class Trained:
     Attributes:
         model: Content of its weight file, without figures.
         curves: One row per epoch.
-        data: Trials that it was trained on, held back, and left out.
+        sources: Trials that it was trained on.
+        held: Trials that were held out.
+        skipped: Why a trial was left out, by its name.
     """
 
     model: Model
     curves: list[dict[str, Any]]
-    data: TrainingData
+    sources: list[TrialSource]
+    held: list[TrialSource]
+    skipped: dict[str, str]
 
 
 def train_model(
@@ -229,78 +168,78 @@ def train_model(
     folder: Path | None = None,
     *,
     jobs: int = 1,
-    report: Report = lambda *_: None,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    show: Show = lambda *_: None,
     processes: Processes | None = None,
 ) -> Trained:
-    """Train as a configuration describes, and write the curves.
+    """Train as a configuration describes, and write the curves; whole trials are held out.
 
     Args:
         config: The run.
         folder: Checkpoint and curves; None keeps nothing, so that an interrupted run starts over.
         jobs: Processes that prepare samples.
-        report: Called after each epoch.
-        on_progress: Called while samples are prepared, with the number done and of all.
-        processes: Processes that share the training; None for this one.
+        show: Called while samples are prepared, and after each epoch.
+        processes: Processes that share the training; None for this one. One prepares the samples,
+            the others find them.
 
     Raises:
         ConfigError: A setting is unknown or impossible.
         DatasetError: No trial can be used.
         TrainingError: The folder is another run's, or training fails.
     """
-    together, device, recipe = (
-        processes or Processes(),
-        chosen_device(config.device),
-        recipe_of(config),
-    )
+    together, recipe = processes or Processes(), recipe_of(config)
     kind = TrainingSettings if config.model == OURS else PaperTraining
     settings: Any = from_mapping(kind, config.training, 'training')
-    data = gather(config.data, recipe, jobs, on_progress, together)
-    names = [path.name for path in (*data.trained, *data.checked)]
-    text = f'{config.fingerprint()} {names} {together.world}'
+    sources = training_sources(config.data)
+    if not together.leads:
+        together.wait()
+    found, skipped = prepare(
+        sources,
+        [recipe],
+        Path(config.data.cache),
+        jobs if together.leads else 1,
+        lambda done: show('preparing', done, len(sources), 'preparing'),
+    )
+    if together.leads:
+        together.wait()
+    sensors = {index: sensor_of(sources[index].origin, f'trial {index}') for index in found}
+    held = held_out(sensors, config.data.checked)
+    trained = [index for index in found if index not in held]
+    paths, checked = ([found[index][0] for index in part] for part in (trained, held))
+    text = f'{config.fingerprint()} {[path.name for path in (*paths, *checked)]} {together.world}'
     shared: dict[str, Any] = {
-        'device': device,
         'processes': together,
-        'report': report,
-        'checkpoint': None if folder is None else folder / CHECKPOINT,
+        'show': show,
+        'checkpoint': None if folder is None else folder / 'checkpoint.safetensors',
         'fingerprint': hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
     }
-    if isinstance(recipe, FgerRecipe):
-        own, size = together.share(range(len(data.trained))), settings.group_trials
-        groups = DiskGroups(data.trained, recipe.config, size, own)
-        held = DiskGroups(data.checked, recipe.config, size) if data.checked else None
-        start = network_of(read_model(find_model(config.start))) if config.start else None
-        if start is not None and held is None:
-            raise DatasetError('one trial cannot be held back', remedy='record two or more')
-        network, curves = train_fger(recipe.config, settings, groups, held, start=start, **shared)
+    if config.model == OURS:
+        size, start = settings.group_trials, None
+        if config.start:
+            start = network_of(read_model(find_model(config.start)))
+            if not checked:
+                raise DatasetError('one trial cannot be held back', remedy='record two or more')
+        groups = DiskGroups(paths, size, together.share(range(len(paths))))
+        others = DiskGroups(checked, size) if checked else None
+        network, curves = train_fger(recipe.config, settings, groups, others, start=start, **shared)
         model = model_of(network, ModelCard({}))
     else:
-        samples, checked = (
-            [load_paper_sample(path) for path in paths] for paths in (data.trained, data.checked)
+        own, other = (
+            [load_sample(path, PaperSample) for path in part] for part in (paths, checked)
         )
-        paper, curves = train_paper(recipe.config, settings, samples, checked, **shared)
+        paper, curves = train_paper(recipe.config, settings, own, other, **shared)
         model = paper_model_of(paper, ModelCard({}))
-    training = provenance(config, data, asdict(settings)) | {
+    used = [sources[index] for index in trained]
+    training = provenance(config, used, asdict(settings)) | {
+        'held_out_trials': len(held),
+        'skipped_trials': skipped,
         'minutes': round(sum(row['seconds'] for row in curves) / 60, 1),
         'core_minutes': round(sum(row['core_seconds'] for row in curves) / 60, 2),
         'processes': together.world,
     }
     if folder is not None and together.leads:
         write_json(folder / 'curves.json', {'epochs': curves})
-    return Trained(replace(model, card=ModelCard(training)), curves, data)
-
-
-def chosen_device(name: str) -> str:
-    """Return `cuda` or `cpu` for `auto`, and other names as they are.
-
-    Raises:
-        TrainingError: A GPU is asked for, and there is none.
-    """
-    if name == 'auto':
-        return usual_device()
-    if name.startswith('cuda') and not torch.cuda.is_available():
-        raise TrainingError(f'device {name} is asked for, but torch finds no GPU: use cpu or auto')
-    return name
+    model = replace(model, card=ModelCard(training))
+    return Trained(model, curves, used, [sources[index] for index in held], skipped)
 
 
 EVALUATION_SECONDS = 10.0
@@ -335,22 +274,9 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
                     bars[name] = progress.add_task(name, total=total)
                 progress.update(bars[name], completed=done, description=text)
 
-            def report(
-                stage: str, epoch: int, epochs: int, loss: float, error: float | None
-            ) -> None:
-                checked = '' if error is None else f', validation {error:.4f} N'
-                show(stage, epoch, epochs, f'{stage}, loss {loss:.5f} N{checked}')
-
-            trained = train_model(
-                config,
-                folder,
-                jobs=jobs,
-                report=report,
-                on_progress=lambda done, total: show('preparing', done, total, 'preparing'),
-                processes=processes,
-            )
+            trained = train_model(config, folder, jobs=jobs, show=show, processes=processes)
         if processes.leads:
-            show_skipped(console, trained.data.skipped)
+            show_skipped(console, trained.skipped)
             _judge_and_write(console, config, trained, json)
     finally:
         processes.leave()
@@ -392,13 +318,13 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     if config.start:
         before = trial_estimator(read_model(find_model(config.start)))
         return {
-            name: by_profile(judge_sources(each, trained.data.held).estimates)
+            name: by_profile(judge_sources(each, trained.held).estimates)
             for name, each in (('before', before), ('after', estimator))
         }
     if data is None or config.judged < 1:
         return {}
     preset = data.presets[0]
-    origins = [source.origin for source in trained.data.sources]
+    origins = [source.origin for source in trained.sources]
     # By another preset the same seed is another sensor; bags need not name either.
     known = sorted({each['device_seed'] for each in origins if each.get('preset') == preset})
     most = -(-config.judged // 2)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from mixtac_learning.network import (
     FrameSlots,
     SequenceState,
     arrays_of,
+    usual_device,
 )
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.frame_stage import (
@@ -160,7 +162,6 @@ class SequenceStage(FgerStage):
     """
 
     _features: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
-    _impacts: list[Sequences | None] = field(default_factory=list)
 
     @property
     def joint(self) -> bool:
@@ -201,48 +202,54 @@ class SequenceStage(FgerStage):
                     self._features[group, flip] = found
                 frozen = self._features[group, flip]
             state = self.model.network.initial_state(sequences.force.shape[1])
-            cut_out = None
-            if self.settings.blow_every:
-                cut_out = self._impacts_of(sequences)
-                if not self.processes.smallest(int(cut_out is not None)):
-                    cut_out = None
+            cut_out = impacts(sequences) if self.settings.blow_every else None
+            if not self.processes.smallest(int(cut_out is not None)):
+                cut_out = None
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
-                    yield self._impact_loss(cut_out, frozen, flip)
-                windows = slice(start, stop)
-                course, aside = self._course(sequences, windows, frozen, flip, state)
+                    # Each impact from no contact on.
+                    begin = self.model.network.initial_state(cut_out.force.shape[1])
+                    yield self._run(cut_out, slice(None), frozen, flip, begin)[0]
+                loss, state = self._run(sequences, slice(start, stop), frozen, flip, state)
+                yield loss
                 # Truncated back-propagation: the gradient ends here.
-                state = course.state.detach()
-                yield self._loss(course, sequences, windows) + aside
+                state = state.detach()
 
-    def _impact_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
-        """Return the loss of the impacts, each from no contact on."""
-        state = self.model.network.initial_state(cut_out.force.shape[1])
-        course, aside = self._course(cut_out, slice(None), frozen, flip, state)
-        return self._loss(course, cut_out, slice(None)) + aside
-
-    def _course(
+    def _run(
         self,
         sequences: Sequences,
         windows: slice,
         frozen: Tensor | None,
         flip: Flip,
         state: SequenceState,
-    ) -> tuple[Course, Tensor]:
-        """Run a stretch, with the features of its frames or with gradients through them.
+    ) -> tuple[Tensor, SequenceState]:
+        """Run a stretch with the features of its frames, or with gradients through them.
+
+        With gradients the loss of the sideways force that the frames show is added. Forces count
+        more the larger they are, as impacts are short. An estimate that is larger than the force
+        counts as such a force would: if the force alone weighed, the expected loss were least at
+        estimates that are too large.
 
         Returns:
-            The course, and with gradients the loss of the sideways force that its frames show.
+            The mean loss, and the state after the stretch.
         """
+        network, settings = self.model.network, self.settings
         slots = FrameSlots(*(part[windows] for part in sequences.slots))
         frames, aside = frozen, sequences.force.new_zeros(())
         if frames is None:
             used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
-            frames = frame_features(self.model.network, sequences, used, flip)
+            frames = frame_features(network, sequences, used, flip)
             slots = FrameSlots(torch.where(slots.frame >= 0, index, -1), slots.lag)
-            aside = self.model.across_loss(sequences, used, frames, flip, self.settings.loss_knee_n)
+            aside = self.model.across_loss(sequences, used, frames, flip, settings.loss_knee_n)
         events = mirror_events(sequences.event_features[windows].float(), *flip)
-        return self.model.network(events, frames, slots, state), aside
+        course = network(events, frames, slots, state)
+        valid, known = sequences.valid[windows], sequences.force[windows]
+        force = self.model.gains[sequences.device, 0] * course.force
+        errors = force_loss(force, known, settings.loss_knee_n)
+        larger = torch.maximum(known.abs(), force.detach().abs())
+        weights = valid * (1.0 + settings.force_weight * larger)
+        loss = (errors * weights).sum() / weights.sum().clamp(min=1.0) + aside
+        return loss, course.state
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -252,33 +259,12 @@ class SequenceStage(FgerStage):
             lambda held: (estimate(self.model.network, held)[0] - held.force)[held.valid],
         )
 
-    def _impacts_of(self, sequences: Sequences) -> Sequences | None:
-        """Return the impacts of a group; kept if there is only one."""
-        if len(self.groups) > 1:
-            return impacts(sequences)
-        if not self._impacts:
-            self._impacts.append(impacts(sequences))
-        return self._impacts[0]
-
     def _chunks(self, length: int, random: torch.Generator) -> Iterator[tuple[int, int]]:
         """Yield the stretches of one epoch; the first is cut at random so that borders move."""
         size = self.settings.chunk_windows
         first = int(torch.randint(size // 2, size + 1, (1,), generator=random))
         borders = [0, *range(min(first, length), length, size), length]
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
-
-    def _loss(self, course: Course, sequences: Sequences, windows: slice) -> Tensor:
-        """Return the mean loss; forces count more the larger they are, as impacts are short.
-
-        An estimate that is larger than the force counts as such a force would: if the force
-        alone weighed, the expected loss were least at estimates that are too large.
-        """
-        valid, known = sequences.valid[windows], sequences.force[windows]
-        knee, weight = self.settings.loss_knee_n, self.settings.force_weight
-        force = self.model.gains[sequences.device, 0] * course.force
-        errors = force_loss(force, known, knee)
-        weights = valid * (1.0 + weight * torch.maximum(known.abs(), force.detach().abs()))
-        return torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
 
 
 COVERED = 0.6827
@@ -307,8 +293,8 @@ class Errors(NamedTuple):
 
     def some(self, rows: Tensor) -> Errors:
         """Return some of the windows."""
-        hidden, force, moved = self.hidden[rows], self.force[rows], self.moved[rows]
-        return Errors(hidden, force, moved, self.error[rows], self.trials)
+        hidden, force, moved, error = (part[rows] for part in self[:4])
+        return Errors(hidden, force, moved, error, self.trials)
 
     def log_deviation(self, head: DeviationHead) -> Tensor:
         """Return the output of an uncertainty head before its scale [log N], [N]."""
@@ -319,7 +305,10 @@ class Errors(NamedTuple):
 class DeviationStage(FgerStage):
     """Trains the uncertainty head; nothing else changes."""
 
-    _errors: list[Errors] = field(default_factory=list)
+    @cached_property
+    def errors(self) -> Errors:
+        """Windows of the finished estimates of the trials to train on."""
+        return collect(self.model.network, self.groups)
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights of the head."""
@@ -327,22 +316,17 @@ class DeviationStage(FgerStage):
 
     def updates(self) -> int:
         """Return the number of updates per epoch."""
-        return self.processes.smallest(-(-len(self._collected().error) // _BATCH))
+        return self.processes.smallest(-(-len(self.errors.error) // _BATCH))
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch in random order."""
-        errors, head = self._collected(), head_of(self.model.network)
+        errors, head = self.errors, head_of(self.model.network)
         order = shuffled(len(errors.error), random)
         for chosen in torch.split(order, _BATCH)[: self.updates()]:
             part = errors.some(chosen)
             log_deviation = part.log_deviation(head)
             ratio = part.error.abs() * torch.exp(-log_deviation)
             yield torch.Tensor((log_deviation + ratio).mean())
-
-    def _collected(self) -> Errors:
-        if not self._errors:
-            self._errors.append(collect(self.model.network, self.groups))
-        return self._errors[0]
 
 
 def head_of(network: FgerNetwork) -> DeviationHead:
@@ -362,23 +346,18 @@ def collect(network: FgerNetwork, groups: DiskGroups, most: int = _WINDOWS) -> E
     random = torch.Generator().manual_seed(0)
     share = max(most // len(groups), 1)
     device = next(network.parameters()).device
-    parts = []
+    parts, trials = [], 0
     for index in range(len(groups)):
         sequences = groups.load(index).to(device)
         course, _ = _run(network, sequences)
         rows = torch.nonzero(sequences.valid.flatten())[:, 0]
         rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
-        force, moved = course.force.flatten()[rows], course.moved.flatten()[rows]
-        error = force - sequences.force.flatten()[rows]
-        hidden, trials = course.hidden.flatten(0, 1)[rows], len(sequences.device)
-        parts.append(Errors(hidden, force, moved, error, trials))
-    return Errors(
-        torch.cat([part.hidden for part in parts]),
-        torch.cat([part.force for part in parts]),
-        torch.cat([part.moved for part in parts]),
-        torch.cat([part.error for part in parts]),
-        sum(part.trials for part in parts),
-    )
+        error = course.force - sequences.force
+        windows = (course.hidden.flatten(0, 1), course.force, course.moved, error)
+        parts.append([windows[0][rows], *(each.flatten()[rows] for each in windows[1:])])
+        trials += len(sequences.device)
+    hidden, force, moved, wrong = (torch.cat(each) for each in zip(*parts, strict=True))
+    return Errors(hidden, force, moved, wrong, trials)
 
 
 @torch.no_grad()
@@ -456,7 +435,6 @@ def train_fger(
     checked: DiskGroups | None = None,
     *,
     start: FgerNetwork | None = None,
-    device: str = 'cpu',
     processes: Processes | None = None,
     **options: Any,  # noqa: ANN401
 ) -> tuple[FgerNetwork, list[dict[str, Any]]]:
@@ -468,9 +446,8 @@ def train_fger(
         groups: Trials to train on.
         checked: Trials to validate on; None for none.
         start: Trained network to adapt; None for random weights.
-        device: Device to compute on.
         processes: Processes that share the training; None for this one.
-        options: Of `TrainingLoop`: checkpoint, fingerprint and report of the run.
+        options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
@@ -488,7 +465,7 @@ def train_fger(
     if start is None:
         model.fit_scales(groups.load(0))
     processes.average_buffers(model)
-    model.to(device)
+    model.to(usual_device())
     loop = TrainingLoop(
         model,
         seed=settings.seed,

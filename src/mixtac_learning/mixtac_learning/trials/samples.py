@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeVar
 
 import joblib
 import numpy as np
@@ -25,26 +25,25 @@ from mixtac_fger.features import FramePreparation, WindowFeatures, correction_la
 from mixtac_fger.shear import NEWTONS
 from mixtac_learning.trials.trial import (
     DatasetError,
-    ForceLabel,
     TrialArrays,
     TrialSource,
     frame_arrivals,
     window_ends,
 )
 
+FACTS_FILE = 'origin.json'
+"""File of the origin of a trial in the folder of its sample."""
+SampleT = TypeVar('SampleT')
 
-def write_arrays(
-    path: Path, arrays: Mapping[str, NDArray[np.generic]], facts: object, facts_file: str
-) -> None:
-    """Write a folder of arrays that can be mapped, whole or not at all.
+
+def save_sample(path: Path, sample: Any) -> None:  # noqa: ANN401
+    """Write a sample as a folder of arrays that can be mapped, whole or not at all.
 
     Processes may write the same folder at the same time: the first one's stays.
 
     Args:
         path: Folder to write.
-        arrays: By name; one file each.
-        facts: What else belongs to them, JSON-ready.
-        facts_file: File of the facts in the folder.
+        sample: A dataclass of arrays, and its `origin`, which is ready for JSON.
 
     Raises:
         FileError: It cannot be written.
@@ -52,75 +51,58 @@ def write_arrays(
     try:
         with new_folder(path) as folder:
             folder.mkdir()
-            for name, array in arrays.items():
-                np.save(folder / f'{name}.npy', array, allow_pickle=False)
-            (folder / facts_file).write_text(json.dumps(facts), encoding='utf-8')
+            for each in fields(sample):
+                if each.name != 'origin':
+                    np.save(folder / f'{each.name}.npy', getattr(sample, each.name))
+            (folder / FACTS_FILE).write_text(json.dumps(sample.origin), encoding='utf-8')
     except FileError:
         if not path.is_dir():
             raise
 
 
-def read_arrays(
-    path: Path, facts_file: str, needed: Iterable[str]
-) -> tuple[dict[str, NDArray[Any]], Any]:
-    """Map the arrays of a folder, and read its facts.
+def load_sample(path: Path, kind: type[SampleT]) -> SampleT:
+    """Return a sample; its arrays are mapped.
 
     Args:
-        path: Folder.
-        facts_file: File of the facts in it.
-        needed: Names of the arrays that it must have.
+        path: Folder that `save_sample` wrote.
+        kind: Class of the sample.
 
     Raises:
         DatasetError: The folder is missing or damaged.
     """
     try:
-        facts = json.loads((path / facts_file).read_text(encoding='utf-8'))
-        names = {*needed, *(file.stem for file in path.glob('*.npy'))}
-        return {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in names}, facts
+        found = {'origin': json.loads((path / FACTS_FILE).read_text(encoding='utf-8'))}
+        for each in fields(kind):  # type: ignore[arg-type]
+            if each.name != 'origin':
+                found[each.name] = np.load(path / f'{each.name}.npy', mmap_mode='r')
     except (OSError, EOFError, ValueError) as error:
         raise DatasetError(
             f'{path} cannot be read ({error})', remedy='remove it; it is then prepared again'
         ) from error
-
-
-class Recipe(Protocol):
-    """Recipe of a network's samples; must be picklable, to be sent to other processes."""
-
-    @property
-    def suffix(self) -> str:
-        """Suffix of the files."""
-
-    def fingerprint(self) -> dict[str, Any]:
-        """Return everything that changes what a sample holds, as JSON-ready values."""
-
-    def write(self, trial: TrialArrays, path: Path) -> None:
-        """Prepare a trial and write it, whole or not at all.
-
-        Raises:
-            DatasetError: The trial cannot be used.
-        """
+    return kind(**found)
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
-    """Samples on disk, and the trials that could not be used.
+class Recipe:
+    """How the samples of a network are made; can be sent to other processes.
 
     Attributes:
-        paths: Files of each trial by recipe, in the order of the sources.
-        skipped: Why a trial was left out, by its name.
-        kept: Which of the sources gave a sample, by index.
+        name: Suffix of the folders.
+        config: Configuration of the network.
+        make: Returns the sample of a trial, by `config` and the trial.
+        facts: Everything that changes what a sample holds, ready for JSON.
     """
 
-    paths: list[list[Path]]
-    skipped: dict[str, str]
-    kept: list[int]
+    name: str
+    config: Any
+    make: Callable[[Any, TrialArrays], Any]
+    facts: dict[str, Any]
 
-
-def sample_path(source: TrialSource, recipe: Recipe, folder: Path) -> Path:
-    """Return the file of a source's sample: its name and a digest of content and recipe."""
-    described = json.dumps([source.content_key(), recipe.fingerprint()], sort_keys=True)
-    digest = hashlib.blake2b(described.encode(), digest_size=8).hexdigest()
-    return folder / f'{source.name}-{digest}{recipe.suffix}'
+    def path(self, source: TrialSource, folder: Path) -> Path:
+        """Return the folder of a trial's sample: its name and a digest of content and recipe."""
+        described = json.dumps([source.content_key(), self.facts], sort_keys=True)
+        digest = hashlib.blake2b(described.encode(), digest_size=8).hexdigest()
+        return folder / f'{source.name}-{digest}.{self.name}'
 
 
 def prepare(
@@ -129,11 +111,10 @@ def prepare(
     folder: Path,
     jobs: int = 1,
     on_progress: Callable[[int], None] = lambda _done: None,
-) -> Prepared:
+) -> tuple[dict[int, list[Path]], dict[str, str]]:
     """Make sure that the samples of all sources are on disk.
 
-    One trial per process is in memory at a time. A trial that cannot be used is left out and
-    reported; the others are used.
+    One trial per process is in memory at a time.
 
     Args:
         sources: Trials.
@@ -142,36 +123,39 @@ def prepare(
         jobs: Processes.
         on_progress: Called with the number of trials done.
 
+    Returns:
+        Folders of the samples of each trial by its index, one per recipe; and why a trial is left
+        out, by its name.
+
     Raises:
         DatasetError: No trial can be used.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths, skipped, kept = [], {}, []
+    paths, skipped = {}, {}
     calls = [joblib.delayed(_prepare_one)(source, recipes, folder) for source in sources]
     results = joblib.Parallel(jobs, return_as='generator', batch_size=1)(calls)
     for index, (found, reason) in enumerate(results):
         if found:
-            paths.append(found)
-            kept.append(index)
+            paths[index] = found
         else:
             skipped[sources[index].name] = reason
         on_progress(index + 1)
     if not paths:
         first = next(iter(skipped.values()), 'there are none')
         raise DatasetError(f'none of {len(sources)} trials can be used: {first}')
-    return Prepared(paths, skipped, kept)
+    return paths, skipped
 
 
 def _prepare_one(
     source: TrialSource, recipes: Sequence[Recipe], folder: Path
 ) -> tuple[list[Path], str]:
     try:
-        paths = [sample_path(source, recipe, folder) for recipe in recipes]
+        paths = [recipe.path(source, folder) for recipe in recipes]
         missing = [pair for pair in zip(paths, recipes, strict=True) if not pair[0].exists()]
         if missing:
             trial = source.load()
             for path, recipe in missing:
-                recipe.write(trial, path)
+                save_sample(path, recipe.make(recipe.config, trial))
     except MixtacError as error:
         return [], str(error)
     return paths, ''
@@ -216,12 +200,7 @@ class Sample:
     origin: dict[str, Any]
 
 
-def make_sample(
-    config: FgerConfig,
-    trial: TrialArrays,
-    label: ForceLabel,
-    origin: dict[str, Any],
-) -> Sample:
+def make_sample(config: FgerConfig, trial: TrialArrays) -> Sample:
     """Compute the features of a trial, with frames available from their arrival on.
 
     The first `FgerConfig.reference_frames` frames must be without contact. Frames whose exposure
@@ -229,30 +208,28 @@ def make_sample(
 
     Args:
         config: Network configuration.
-        trial: Events and frames.
-        label: Force on the camera clock.
-        origin: Kept with the sample.
+        trial: Events, frames and force.
 
     Raises:
-        DatasetError: The trial has too few frames, ends before they have arrived, or starts in
-            contact.
+        DatasetError: The trial has no known force or too few frames, ends before they have arrived,
+            or starts in contact.
     """
-    kept = config.reference_frames
-    width = config.window_us
+    label, kept, width = trial.label(), config.reference_frames, config.window_us
+    name = trial.origin.get('name')
     begin_us, end_us = trial.exposure_start_us, trial.exposure_end_us
     labelled = np.flatnonzero((begin_us >= label.t_us[0]) & (end_us <= label.t_us[-1]))
     labelled = labelled[labelled >= kept - 1]
     few = len(trial.frames) <= kept or not len(labelled)
     if few or label.t_us[-1] < trial.arrival_us[labelled[0]] + width:
         raise DatasetError(
-            f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
+            f'trial {name} has {len(trial.frames)} frames: more than {kept} are needed, and'
             ' a label that lasts beyond them'
         )
     forces = label.mean(begin_us, end_us)
     contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
     if np.abs(forces[:kept]).max() > contact_n:
         raise DatasetError(
-            f'trial {origin} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
+            f'trial {name} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
             ' frames must be without contact'
         )
     first = int(labelled[0])
@@ -275,7 +252,7 @@ def make_sample(
         frame_moments=moments,
         frame_force=forces[labelled],
         frame_across=_across(trial, middle[labelled]),
-        origin=origin,
+        origin=trial.origin,
     )
 
 
@@ -317,15 +294,6 @@ def _features(
     return inputs, np.stack(moments), features
 
 
-def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
-    """Write a sample with its configuration as a folder of arrays, whole or not at all."""
-    arrays = {name: getattr(sample, name) for name in _ARRAYS}
-    facts = {'config': config.to_dict(), 'origin': sample.origin}
-    write_arrays(path, arrays, facts, _FACTS)
-
-
-_ARRAYS = Sample.__slots__[:-1]
-_FACTS = 'sample.json'
 UNSEEN_BY_SAMPLES = {
     'reference_stillness',
     'event_hidden',
@@ -345,64 +313,7 @@ UNSEEN_BY_SAMPLES = {
 """Fields of the configuration that do not change what a sample holds."""
 
 
-def load_sample(path: Path, config: FgerConfig) -> Sample:
-    """Read a sample and check that it was prepared as `config` asks.
-
-    Raises:
-        DatasetError: The folder is missing, damaged or was prepared in another way.
-    """
-    mapped, facts = read_arrays(path, _FACTS, _ARRAYS)
-    wanted = config.to_dict()
-    for name in set(wanted) - UNSEEN_BY_SAMPLES:
-        if facts['config'].get(name) != wanted[name]:
-            raise DatasetError(
-                f'sample {path} was prepared with {name} = {facts["config"].get(name)}, but'
-                f' {wanted[name]} is needed: remove it'
-            )
-    arrays = {name: np.array(mapped[name]) for name in _ARRAYS}
-    return Sample(**arrays, origin=facts['origin'])
-
-
-def sample_origin(path: Path) -> dict[str, Any]:
-    """Return where a sample came from.
-
-    Raises:
-        DatasetError: The folder cannot be read.
-    """
-    return dict(read_arrays(path, _FACTS, ())[1]['origin'])
-
-
-def sample_windows(path: Path) -> int:
-    """Return the number of windows of a sample.
-
-    Raises:
-        DatasetError: The folder cannot be read.
-    """
-    return len(read_arrays(path, _FACTS, ('force',))[0]['force'])
-
-
-@dataclass(frozen=True, slots=True)
-class FgerRecipe:
-    """Features of frames and windows, in one folder per trial.
-
-    Attributes:
-        config: Network configuration.
-    """
-
-    config: FgerConfig
-    suffix = '.fger'
-
-    def fingerprint(self) -> dict[str, Any]:
-        """Return what changes a sample."""
-        fields = self.config.to_dict()
-        kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 7'} | kept
-
-    def write(self, trial: TrialArrays, path: Path) -> None:
-        """Prepare a trial and write it, whole or not at all.
-
-        Raises:
-            DatasetError: As `make_sample`, or the trial has no such force.
-        """
-        sample = make_sample(self.config, trial, trial.label(), trial.origin)
-        save_sample(path, sample, self.config)
+def fger_recipe(config: FgerConfig) -> Recipe:
+    """Return the recipe of the samples of FGER-Net."""
+    kept = {name: v for name, v in config.to_dict().items() if name not in UNSEEN_BY_SAMPLES}
+    return Recipe('fger', config, make_sample, {'kind': 'fger 8'} | kept)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from mixtac_learning.experiments import harness, vibration
+from mixtac_learning.experiments import harness, models, vibration
 from mixtac_learning.experiments.harness import QUICK, run_experiments
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
 
@@ -73,9 +73,14 @@ def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
 def test_a_second_run_computes_nothing(finished, monkeypatch):
     folder, first = finished
 
-    def refuse(*piece):
-        raise AssertionError(piece)
+    def refuse(*arguments):
+        raise AssertionError(arguments)
 
-    monkeypatch.setattr(harness, '_compute', refuse)
+    for module, name in (
+        (models, 'train_model'),
+        (models, 'trial_estimator'),
+        (vibration, 'shake'),
+    ):
+        monkeypatch.setattr(module, name, refuse)
     again = carried_out(folder)
     assert again['fusion'].rows == first['fusion'].rows

@@ -7,19 +7,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_learning.experiments.harness import TABLE_SIZES, run_config
+from mixtac_learning.experiments.harness import FULL, TABLE_SIZES, run_config
 from mixtac_learning.experiments.models import (
+    PROFILES,
     PROTOCOLS,
     aggregate,
     cell,
     rows_of,
     table_data,
     test_specs,
+    test_trials,
+    training_data,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.run import training_sources
 
-test_specs.__test__ = False
+test_specs.__test__ = test_trials.__test__ = False
 
 
 def estimates(errors, profiles):
@@ -71,3 +74,17 @@ def test_a_session_has_its_own_training(model, kind):
     session, other = (run_config(sizes, model, 0, table_data(sizes, each)) for each in PROTOCOLS)
     assert session.training == other.training | sizes.session_training[kind]
     assert session.training != other.training
+
+
+def test_tests_are_other_days_of_the_sensor_that_was_trained_on():
+    sensors = set()
+    for seed in range(3):
+        trained = [source.spec for source in training_sources(training_data(FULL, seed))]
+        tested = [spec for name in PROFILES for spec in test_trials(FULL, seed, name)]
+        (device,) = {spec.device_seed for spec in trained}
+        assert {spec.device_seed for spec in tested} == {device}
+        days = [spec.trial_seed for spec in tested]
+        assert len(set(days)) == len(days)
+        assert not set(days) & {spec.trial_seed for spec in trained}
+        sensors.add(device)
+    assert len(sensors) == 3

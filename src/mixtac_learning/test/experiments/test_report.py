@@ -13,16 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_core.events.errors import MixtacError
 from mixtac_learning.experiments.forces import rolling_bins
 from mixtac_learning.experiments.harness import (
-    ExperimentError,
     Outcome,
     Row,
     Value,
     select,
     write_report,
 )
-from mixtac_learning.experiments.training import error_rows, rate_hz
+from mixtac_learning.experiments.models import error_rows, rate_hz
 from mixtac_learning.judge.estimators import TrialEstimate
 
 
@@ -101,7 +101,7 @@ NAMES = ['vibration', 'stability', 'inputs', 'fusion', 'impact', 'slip', 'model'
 def test_experiments_are_selected_once_and_in_the_order_of_the_paper():
     assert list(select(['all'])) == NAMES
     assert list(select(['slip', 'inputs', 'slip'])) == ['inputs', 'slip']
-    with pytest.raises(ExperimentError) as refused:
+    with pytest.raises(MixtacError) as refused:
         select(['smell'])
     assert "'smell'" in str(refused.value)
     assert all(name in refused.value.remedy for name in NAMES)

@@ -9,16 +9,14 @@ import pytest
 
 from mixtac_learning.experiments.slip import (
     KNOCK_S,
-    TrialPlan,
-    arrest_of,
-    run_trial,
-)
-from mixtac_learning.experiments.slip_loop import (
     PULLS_S,
     Gains,
     SensedForce,
+    TrialPlan,
+    arrest_of,
     calibrate,
     fit_sideways,
+    run_trial,
 )
 from mixtac_sim.world.profiles import make_profile
 

@@ -4,28 +4,27 @@
 
 from __future__ import annotations
 
-import dataclasses
-import pickle
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from rich.progress import Progress
 
 from mixtac_learning.experiments import harness
-from mixtac_learning.experiments.harness import Piece, compute
-from mixtac_learning.experiments.slip import TrialPlan, trial_piece
+from mixtac_learning.experiments.harness import QUICK, Context
+from mixtac_learning.experiments.slip import TrialPlan
 from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-def square(base: Path, value: int, log: Path) -> dict[str, int]:
+def square(value: int, log: Path) -> int:
     with log.open('a') as file:
         file.write(f'{value}\n')
     if value < 0:
         raise ValueError(value)
-    base.with_name(f'{base.name}.txt').write_text(str(value))
-    return {'square': value**2}
+    return value**2
 
 
 @pytest.fixture
@@ -33,48 +32,50 @@ def log(tmp_path):
     return tmp_path / 'log'
 
 
-def piece_of(value: int, log: Path) -> Piece:
-    return Piece(f'squared_{value}', square, (value, log))
+@pytest.fixture
+def context(tmp_path):
+    return Context(QUICK, tmp_path, 1, 1, Progress(disable=True))
 
 
-@pytest.mark.parametrize('jobs', [1, 2])
-def test_results_come_in_order_and_only_missing_ones_are_computed(tmp_path, log, jobs):
-    folder = tmp_path / 'pieces'
-    pieces = [piece_of(k, log) for k in range(4)]
-    advanced = []
-    compute(folder, pieces[1:3])
-    results = compute(folder, pieces, jobs, lambda: advanced.append(1))
-    assert [each['square'] for each in results] == [0, 1, 4, 9]
-    assert len(advanced) == 4
+def test_results_come_in_order_and_only_missing_ones_are_computed(context, log):
+    context.run('some', square, [(1, log), (2, log)])
+    assert context.run('all', square, [(k, log) for k in range(4)]) == [0, 1, 4, 9]
     assert sorted(log.read_text().split()) == ['0', '1', '2', '3']
-    assert (folder / f'{pieces[3].stem}.txt').read_text() == '3'
 
 
-def test_an_interrupted_run_continues_and_a_damaged_result_is_computed_again(tmp_path, log):
-    folder = tmp_path / 'pieces'
+def test_processes_share_the_work(context, log):
+    assert replace(context, jobs=2).run('all', square, [(k, log) for k in range(3)]) == [0, 1, 4]
+
+
+def test_an_interrupted_run_continues(context, log):
     with pytest.raises(ValueError, match='-1'):
-        compute(folder, [piece_of(2, log), piece_of(-1, log), piece_of(3, log)])
-    (folder / f'{piece_of(3, log).stem}.json').write_text('{"squ')
-    results = compute(folder, [piece_of(2, log), piece_of(3, log)])
-    assert [each['square'] for each in results] == [4, 9]
+        context.run('all', square, [(2, log), (-1, log), (3, log)])
+    assert context.run('all', square, [(2, log), (3, log)]) == [4, 9]
     assert log.read_text().split() == ['2', '-1', '3']
 
 
-def test_changed_code_is_another_piece(tmp_path, monkeypatch):
-    (tmp_path / 'part.py').write_text('A = 1')
-    monkeypatch.setattr(harness, 'files', lambda _package: tmp_path)
-    stems = []
+def test_changed_code_is_computed_again(context, log, tmp_path, monkeypatch):
+    package = tmp_path / 'package'
+    package.mkdir()
+    monkeypatch.setattr(harness, 'files', lambda _package: package)
     for text in ('A = 1', 'A = 2'):
-        (tmp_path / 'part.py').write_text(text)
+        (package / 'part.py').write_text(text)
         harness.code_version.cache_clear()
-        stems.append(pickle.loads(pickle.dumps(piece_of(1, tmp_path / 'log'))).stem)
+        context.run('all', square, [(1, log)])
     harness.code_version.cache_clear()
-    assert len(set(stems)) == 2
+    assert log.read_text().split() == ['1', '1']
 
 
-def test_other_settings_of_a_trial_are_another_piece():
+def plan_seed(plan: TrialPlan, log: Path) -> int:
+    return square(plan.seed, log)
+
+
+def test_other_settings_of_a_trial_are_computed_anew(context, log):
     settings = SlipControlParameters()
-    other = dataclasses.replace(settings, law='paper')
-    plans = [TrialPlan(), TrialPlan(preset='easy'), TrialPlan(settings=other)]
-    assert len({trial_piece(plan).stem for plan in plans}) == 3
-    assert trial_piece(TrialPlan()).stem == trial_piece(TrialPlan(settings=settings)).stem
+    plans = [
+        TrialPlan(),
+        TrialPlan(preset='easy'),
+        TrialPlan(settings=replace(settings, law='paper')),
+    ]
+    context.run('all', plan_seed, [(plan, log) for plan in (*plans, TrialPlan(settings=settings))])
+    assert len(log.read_text().split()) == 3

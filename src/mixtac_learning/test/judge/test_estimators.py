@@ -33,7 +33,7 @@ def exact(monkeypatch):
 @pytest.mark.usefixtures('exact')
 def test_streaming_equals_the_batch_network(model, network, config, trial):
     # Samples are kept as float16 on disk; the two paths are compared without that rounding.
-    sample = make_sample(config, trial, trial.label(), {})
+    sample = make_sample(config, trial)
     force, _ = estimate(network, stack([sample]))
     run = stream(model, trial)
     assert np.abs(run.force - force[:, 0].numpy()).max() < 1e-5
@@ -43,7 +43,7 @@ def test_streaming_equals_the_batch_network(model, network, config, trial):
 
 @pytest.mark.usefixtures('exact')
 def test_deviations_are_those_of_the_batch_network(model, network, config, trial):
-    batch = stack([make_sample(config, trial, trial.label(), {})])
+    batch = stack([make_sample(config, trial)])
     with torch.inference_mode():
         course = network(
             batch.event_features,

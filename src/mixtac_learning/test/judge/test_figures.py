@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.judge.metrics import peak_error
-from mixtac_learning.judge.report import by_profile, draw_trials, show_figures, summarise
+from mixtac_learning.judge.metrics import by_profile, peak_error, summarise, trial_row
+from mixtac_learning.judge.report import draw_trials, show_figures
 
 STEP_S = 0.002
 
@@ -62,6 +63,30 @@ def test_coverage_counts_windows():
     assert figures['coverage_95'] == pytest.approx(1.96 / 3, abs=0.01)
     assert figures['mean_deviation'] == 1.0
     assert 'coverage_68' not in summarise([each, replace(each, deviation=None)])
+
+
+def test_a_row_of_a_bag_worked_out_by_hand():
+    """A hold of 1 N; the estimate is 10 % too small, and near zero for 0.1 s and for 20 ms."""
+    known = np.r_[np.zeros(500), np.ones(500)]
+    force = 0.9 * known
+    force[700:750] = force[900:910] = 0.2
+    reasons = np.full(1000, int(Reason.TRUSTED))
+    reasons[:100] = reasons[700:710] = int(Reason.STALE)
+    row = trial_row(
+        estimate(known, force, frames_only=known - 0.02, deviation=0.1 * known, reasons=reasons)
+    )
+    assert row['bag'] == 't'
+    assert row['mae_n'] == pytest.approx((440 * 0.1 + 60 * 0.8) / 1000)
+    assert row['rmse_n'] == pytest.approx(np.sqrt((440 * 0.01 + 60 * 0.64) / 1000), abs=1e-4)
+    assert row['mae_best_gain_n'] == pytest.approx(60 * (1 - 0.2 / 0.9) / 1000, abs=1e-4)
+    assert row['frames_held_mae_n'] == row['slow_frames_held_mae_n'] == pytest.approx(0.02)
+    # 20 ms before and after the step are not slow.
+    assert row['slow_mae_n'] == pytest.approx((430 * 0.1 + 60 * 0.8) / 980, abs=1e-4)
+    assert row['coverage_68'] == row['coverage_95'] == pytest.approx(0.94)
+    assert row['falsely_invalid'] == pytest.approx(0.1)
+    assert row['collapses'] == 1
+    bare = trial_row(estimate(known, force))
+    assert bare['frames_held_mae_n'] is bare['coverage_95'] is bare['falsely_invalid'] is None
 
 
 def test_figures_are_shown_by_profile():

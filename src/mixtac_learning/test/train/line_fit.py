@@ -53,7 +53,7 @@ def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) 
     torch.manual_seed(7)
     model = torch.nn.Linear(1, 1)
 
-    def report(stage, epoch, epochs, loss, error) -> None:
+    def show(stage, epoch, epochs, text) -> None:
         if kill_after and epoch == kill_after + 1:
             # In the middle: the epoch is done, its checkpoint is not written.
             os.kill(os.getpid(), signal.SIGKILL)
@@ -64,7 +64,7 @@ def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) 
         patience=patience,
         checkpoint=folder / 'checkpoint.safetensors',
         fingerprint='line',
-        report=report,
+        show=show,
         processes=processes,
     )
     loop.run([LineStage(model, processes)])

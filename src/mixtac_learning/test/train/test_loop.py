@@ -47,7 +47,7 @@ def test_a_killed_run_goes_on_to_the_same_weights(tmp_path):
     assert killed.returncode == -9
     found = load_checkpoint(tmp_path / 'killed' / '0' / 'checkpoint.safetensors', 'line')
     assert found is not None
-    assert found.progress.epoch == 5
+    assert found[0].epoch == 5
     resumed = fit(tmp_path / 'killed' / '0', 0, Processes())
     assert weights(resumed) == weights(whole)
 

@@ -38,8 +38,8 @@ def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, fl
 def test_training_learns_the_toy_sensor(config, toy_sequences):
     trained, other = toy_sequences
     stages: list = []
-    report = lambda *row: stages.append(row)  # noqa: E731
-    network, _ = train_fger(config, SHORT, Groups([trained]), report=report)
+    show = lambda *row: stages.append(row)  # noqa: E731
+    network, _ = train_fger(config, SHORT, Groups([trained]), show=show)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
         ('frames', 5, 5),
         ('recurrent', 3, 3),

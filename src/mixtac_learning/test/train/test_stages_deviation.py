@@ -61,7 +61,7 @@ def trained():
     network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
     settings = TrainingSettings(deviation_epochs=40, deviation_rate=3e-2)
     stage = DeviationStage('deviation', 40, 3e-2, SimpleNamespace(network=network), None, settings)
-    stage._errors.append(windows(16000, 1))
+    stage.errors = windows(16000, 1)
     TrainingLoop(network.deviation).run([stage])
     calibrate_deviation(network, windows(8000, 2))
     return network.deviation

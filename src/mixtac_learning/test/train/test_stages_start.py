@@ -45,7 +45,7 @@ def test_the_start_follows_the_frames(config):
 @pytest.fixture
 def sequences(config, trial):
     """One trial twice, with made-up forces: zero, and blows of one window."""
-    both = stack([make_sample(config, trial, trial.label(), {}) for _ in range(2)])
+    both = stack([make_sample(config, trial) for _ in range(2)])
     force = torch.zeros_like(both.force)
     force[100, 0] = force[300, 0] = force[20, 0] = 8.0
     force[200:204, 1] = 5.0
@@ -74,7 +74,7 @@ def test_frames_begin_with_the_forces_of_their_moments(config, trial):
     torch.manual_seed(1)
     model = NetworkWithGains(replace(config, shear=True), 1)
     network = model.network
-    known = stack([make_sample(config, trial, trial.label(), {})])
+    known = stack([make_sample(config, trial)])
     moments = torch.randn(known.frame_moments.shape)
     across = torch.stack([2.0 * moments[:, 1] + moments[:, 3], 2.0 * moments[:, 2] + moments[:, 4]])
     across = torch.cat([across.T, torch.zeros(len(moments), 1)], dim=1)

@@ -22,7 +22,7 @@ from mixtac_learning.trials.bags import (
     bag_sources,
     host_to_camera_us,
 )
-from mixtac_learning.trials.samples import FgerRecipe, load_sample, prepare
+from mixtac_learning.trials.samples import Sample, fger_recipe, load_sample, prepare
 from mixtac_learning.trials.trial import DatasetError
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.world.trial import simulate_trial
@@ -121,19 +121,19 @@ def test_damaged_bags_are_named_and_left_out(folder, tmp_path):
     assert [source.name for source in sources] == ['press_000', 'press_001']
     with pytest.raises(RecordingError):
         sources[1].load()
-    config = FgerConfig()
-    prepared = prepare(sources, [FgerRecipe(config)], tmp_path / 'cache')
-    assert list(prepared.skipped) == ['press_001']
-    assert prepared.kept == [0]
-    sample = load_sample(prepared.paths[0][0], config)
+    recipe = fger_recipe(FgerConfig())
+    paths, skipped = prepare(sources, [recipe], tmp_path / 'cache')
+    assert list(skipped) == ['press_001']
+    assert list(paths) == [0]
+    sample = load_sample(paths[0][0], Sample)
     assert sample.origin['profile'] == 'press'
     assert sample.force.max() > 0.2
     with pytest.raises(DatasetError):
-        prepare(sources[1:], [FgerRecipe(config)], tmp_path / 'cache')
+        prepare(sources[1:], [recipe], tmp_path / 'cache')
 
 
 def test_samples_are_not_prepared_twice(folder, tmp_path, monkeypatch):
-    recipe, sources = FgerRecipe(FgerConfig()), bag_sources(folder)
+    recipe, sources = fger_recipe(FgerConfig()), bag_sources(folder)
     first = prepare(sources, [recipe], tmp_path)
     monkeypatch.setattr(BagSource, 'load', lambda _self: pytest.fail('loaded again'))
     assert prepare(sources, [recipe], tmp_path) == first

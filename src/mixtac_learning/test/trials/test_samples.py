@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,13 @@ from hypothesis import strategies as st
 from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.train.frame_stage import mirror_events, mirror_frames, mirror_moments, stack
-from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
+from mixtac_learning.trials.samples import (
+    Sample,
+    fger_recipe,
+    load_sample,
+    make_sample,
+    save_sample,
+)
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
@@ -29,7 +36,7 @@ from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):
-    sample = make_sample(config, trial, trial.label(), {})
+    sample = make_sample(config, trial)
     at = np.flatnonzero(sample.slots >= 0)
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     assert np.array_equal(sample.slots[at], np.arange(len(at)))
@@ -43,10 +50,10 @@ def test_frames_are_used_from_their_arrival_on(config, trial):
 
 
 def test_no_event_after_a_window_reaches_it(config, trial):
-    full = make_sample(config, trial, trial.label(), {})
+    full = make_sample(config, trial)
     cut = int(full.window_end_us[150])
     early = replace(trial, events=trial.events.between(0, cut))
-    part = make_sample(config, early, trial.label(), {})
+    part = make_sample(config, early)
     assert np.array_equal(full.event_features[:151], part.event_features[:151])
     assert not part.event_features[151:].any()
     assert full.event_features[151:].any()
@@ -54,10 +61,11 @@ def test_no_event_after_a_window_reaches_it(config, trial):
 
 def test_frames_beyond_the_known_force_are_left_out(config, trial):
     whole, kept = trial.label(), config.reference_frames
-    full = make_sample(config, trial, whole, {})
+    full = make_sample(config, trial)
     first, last = trial.exposure_start_us[kept + 3], trial.exposure_end_us[-4]
     inside = (whole.t_us >= first) & (whole.t_us <= last)
-    part = make_sample(config, trial, ForceLabel(whole.t_us[inside], whole.force[inside]), {})
+    known = ForceLabel(whole.t_us[inside], whole.force[inside])
+    part = make_sample(config, replace(trial, truth=known))
     at = np.flatnonzero(part.slots >= 0)
     assert part.slots[at].tolist() == list(range(len(at)))
     shift = len(full.frame_force) - len(part.frame_force) - 3
@@ -99,21 +107,26 @@ def test_a_simulated_trial_has_both_forces_on_the_camera_clock(monkeypatch, tria
 
 
 def test_samples_survive_the_disk(tmp_path, config, trial):
-    sample = make_sample(config, trial, trial.label(), {'device_seed': 3})
-    save_sample(tmp_path / 'a' / 's', sample, config)
-    loaded = load_sample(tmp_path / 'a' / 's', FgerConfig(lstm_size=12))
-    assert loaded.origin == {'device_seed': 3}
+    sample = make_sample(config, trial)
+    save_sample(tmp_path / 'a' / 's', sample)
+    loaded = load_sample(tmp_path / 'a' / 's', Sample)
+    assert loaded.origin == trial.origin
     for name in Sample.__slots__[:-1]:
         kept, made = getattr(loaded, name), getattr(sample, name)
         assert np.array_equal(kept, made, equal_nan=made.dtype.kind == 'f')
-    with pytest.raises(DatasetError):
-        load_sample(tmp_path / 'a' / 's', FgerConfig(flow_radius=2))
+
+
+@given(st.sampled_from(['lstm_size', 'flow_radius']))
+def test_samples_of_other_features_lie_elsewhere(name):
+    source, changed = SimulatedSource(TrialSpec(1, 2, 'press', 4.0)), {name: 12}
+    paths = [fger_recipe(FgerConfig(**own)).path(source, Path()) for own in ({}, changed)]
+    assert (paths[0] == paths[1]) == (name == 'lstm_size')
 
 
 @pytest.mark.parametrize('content', [None, b'', b'rubbish', b'\x93NUMPY cut short'])
 def test_unreadable_samples_are_named(tmp_path, config, trial, content):
     path = tmp_path / 's'
-    save_sample(path, make_sample(config, trial, trial.label(), {}), config)
+    save_sample(path, make_sample(config, trial))
     for file in path.iterdir():
         whole = file.read_bytes()
         if content is None:
@@ -121,16 +134,16 @@ def test_unreadable_samples_are_named(tmp_path, config, trial, content):
         else:
             file.write_bytes(content)
         with pytest.raises(DatasetError):
-            load_sample(path, config)
+            load_sample(path, Sample)
         file.write_bytes(whole)
 
 
 def test_trials_that_begin_in_contact_or_are_too_short_are_refused(config, trial):
     pressed = ForceLabel(trial.truth.t_us, trial.truth.force + 0.2)
     short = replace(trial, frames=trial.frames[:5], arrival_us=trial.arrival_us[:5])
-    for each, label in ((trial, pressed), (short, trial.label())):
+    for each in (replace(trial, truth=pressed), short):
         with pytest.raises(DatasetError):
-            make_sample(config, each, label, {})
+            make_sample(config, each)
 
 
 @pytest.mark.parametrize(('columns', 'rows'), [(True, False), (False, True), (True, True)])
@@ -147,7 +160,7 @@ def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, r
         frames=np.ascontiguousarray(np.flip(first.frames, axes)),
         events=Events(events.t, x, y, events.polarity),
     )
-    one, other = (make_sample(narrow, part, trial.label(), {}) for part in (first, second))
+    one, other = (make_sample(narrow, part) for part in (first, second))
     turned = mirror_events(torch.from_numpy(one.event_features).float(), columns, rows)
     assert np.allclose(turned.numpy(), other.event_features, atol=2e-2)
     frames = mirror_frames(torch.from_numpy(one.frame_inputs).float(), narrow, columns, rows)
@@ -160,9 +173,9 @@ def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, r
 
 
 def test_stacked_trials_keep_their_frames_and_their_lengths(config, trial):
-    long = make_sample(config, trial, trial.label(), {})
+    long = make_sample(config, trial)
     until = ForceLabel(trial.truth.t_us[:900], trial.truth.force[:900])
-    short = make_sample(config, trial, until, {})
+    short = make_sample(config, replace(trial, truth=until))
     both = stack([long, short])
     assert both.valid.sum(dim=0).tolist() == [len(long.force), len(short.force)]
     assert not both.event_features[len(short.force) :, 1].any()
