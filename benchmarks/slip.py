@@ -2,61 +2,103 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds a knocked object: trials of slip control in closed loop, simulated, in lock-step.
 
-The same seeds are run with both the press and the answer to slip, with either alone, and by the law
-of the paper. `--margin` is the grasp relative to the smallest force that holds.
+Each trial is run without control, with the press alone, with the answer to slip alone, with both,
+and by the law of the paper. All runs of a trial continue from the same instant of enabling. A
+margin is the grasp force relative to the smallest force that holds.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 from joblib import Parallel, delayed
 from rich.console import Console
+from rich.progress import track
 
 from mixtac.figures import make_table
 from mixtac.options import JsonFile
 from mixtac_core.node.files import write_json
-from mixtac_learning.experiments.slip import TrialPlan, run_trial
+from mixtac_learning.experiments.slip import ENABLE_S, TrialPlan, finish_trial, start_trial
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.parameters import SlipControlParameters
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from mixtac_learning.experiments.slip import ClosedLoop
 
 OBJECTS = ('box', 'cup', 'ball')
 WAYS: dict[str, dict[str, Any]] = {
-    'both': {},
-    'press': {'slip_force': 0.01},
+    'margin': {'slip_force': 0.01},
     'answer': {'grip_margin': 1.0},
+    'both': {},
     'paper': {'law': 'paper'},
 }
 """Parameters of slip control that differ from the defaults, by the name of the way."""
+COLUMNS = {
+    'trials': 'trials',
+    'held': 'held',
+    'mm': 'median_mm',
+    'most mm': 'largest_slip_mm',
+    'missed': 'undetected',
+    'peak N': 'peak_n',
+}
+"""Names in JSON of the printed columns."""
+FORK = multiprocessing.get_context('fork')
+"""A child continues with the state of its parent."""
 
 
-def trial(plan: TrialPlan) -> dict[str, Any]:
-    """Return the result of a trial; `refused` says why slip control was not enabled."""
+def run(plans: list[TrialPlan]) -> list[dict[str, dict[str, Any]]]:
+    """Return the results of all ways for plans of one seed, whose gain is measured once."""
+    return [run_ways(plan) for plan in plans]
+
+
+def run_ways(plan: TrialPlan) -> dict[str, dict[str, Any]]:
+    """Return the result of each way of a trial; `refused` says why it could not be enabled."""
+    loop = start_trial(plan)
+    found: dict[str, dict[str, Any]] = {}
+    for way, changed in WAYS.items():
+        here, there = FORK.Pipe(duplex=False)
+        way_plan = replace(plan, settings=replace(plan.settings, **changed))
+        child = FORK.Process(target=finish, args=(way_plan, loop, there))
+        child.start()
+        there.close()
+        found[way] = here.recv()
+        child.join()
+    free = plan.uncontrolled()
+    return {'none': {'held': free.held, 'slip_mm': free.slip_mm}} | found
+
+
+def finish(plan: TrialPlan, loop: ClosedLoop, answer: Connection) -> None:
+    """Send the result of a trial from its enabling on."""
     try:
-        return run_trial(plan)[0]
+        answer.send(finish_trial(plan, loop)[0])
     except SlipControlError as error:
-        return {'name': plan.name, 'seed': plan.seed, 'refused': str(error)}
+        answer.send({'name': plan.name, 'seed': plan.seed, 'refused': str(error)})
 
 
-def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     """Return counts and medians of trials; those that were refused count apart."""
-    ran = [each for each in trials if 'refused' not in each]
-    found = {'trials': len(ran), 'refused': len(trials) - len(ran)}
+    ran = [each for each in results if 'refused' not in each]
+    found = {'trials': len(ran), 'refused': len(results) - len(ran)}
     if not ran:
         return found
-    slip_mm = [each['slip_mm'] for each in ran]
-    detection_ms = [each['detection_ms'] for each in ran if each['detection_ms'] is not None]
-    return found | {
+    slips = [each['slip_mm'] for each in ran]
+    found |= {
         'held': sum(each['held'] for each in ran),
-        'open_held': sum(each['open_held'] for each in ran),
-        'slip_mm': float(np.median(slip_mm)),
-        'largest_slip_mm': max(slip_mm),
+        'median_mm': float(np.median(slips)),
+        'largest_slip_mm': max(slips),
+    }
+    if 'detection_ms' not in ran[0]:
+        return found
+    times = [each['detection_ms'] for each in ran if each['detection_ms'] is not None]
+    return found | {
+        'undetected': len(ran) - len(times),
+        'detection_ms': float(np.median(times)) if times else None,
         'peak_n': max(each['peak_n'] for each in ran),
-        'detection_ms': float(np.median(detection_ms)) if detection_ms else None,
-        'missed_detections': len(ran) - len(detection_ms),
         'false_alarms': sum(each['false_alarms'] for each in ran),
         'limit_violations': sum(each['limit_violations'] for each in ran),
         'stops': sum(bool(each['stopped']) for each in ran),
@@ -64,40 +106,59 @@ def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def slip(
-    trials: Annotated[int, typer.Option(min=1, help='Trials per way.')] = 6,
-    margin: Annotated[float, typer.Option(min=1.0, max=5.0, help='Grasp over the least.')] = 1.05,
+    trials: Annotated[int, typer.Option(min=1, help='Trials per margin.')] = 6,
+    margin: Annotated[
+        list[float] | None, typer.Option(min=1.0, max=5.0, help='Margin; repeat for several.')
+    ] = None,
     knock: Annotated[float, typer.Option(min=0.0, max=500.0, help='Knock (mm/s).')] = 50.0,
+    after: Annotated[
+        float, typer.Option(min=0.01, max=5.0, help='Time from enabling to the knock (s).')
+    ] = 0.35,
+    grasp_force: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help='Least and largest grasp force (N): objects are weighed for them.'),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help='Seed of the first trial.')] = 900,
     preset: Annotated[str, typer.Option(help='Difficulty of the sensor.')] = 'paper_like',
     jobs: Annotated[int, typer.Option(min=1, help='Trials at once.')] = 1,
     json: JsonFile = None,
 ) -> None:
-    """Knock objects in a simulated grasp: press and answer, either alone, the law of the paper."""
-    base = SlipControlParameters()
-    plans = {
-        way: [
+    """Knock objects in a simulated grasp: no control, press, answer, both, the paper's law."""
+    margins = margin or [1.05]
+    forces = [None] * trials if grasp_force is None else np.linspace(*grasp_force, trials).tolist()
+    plans = [
+        [
             TrialPlan(
                 OBJECTS[number % len(OBJECTS)],
                 seed + number,
-                margin,
+                each,
                 knock,
                 preset=preset,
-                settings=replace(base, **changed),
+                knock_s=round(ENABLE_S + after, 6),
+                grasp_n=force,
             )
-            for number in range(trials)
+            for each in margins
         ]
-        for way, changed in WAYS.items()
+        for number, force in enumerate(forces)
+    ]
+    work = Parallel(n_jobs=jobs, return_as='generator')(delayed(run)(each) for each in plans)
+    results = list(track(work, 'Trials', total=trials))
+    found = {
+        f'{each:g}': {way: [result[k][way] for result in results] for way in results[0][k]}
+        for k, each in enumerate(margins)
     }
-    flat = [plan for each in plans.values() for plan in each]
-    results = iter(Parallel(n_jobs=jobs)(delayed(trial)(plan) for plan in flat))
-    found = {way: [next(results) for _ in each] for way, each in plans.items()}
-    report = {way: summary(each) for way, each in found.items()}
-    names = ('trials', 'held', 'slip_mm', 'largest_slip_mm', 'peak_n', 'detection_ms', 'refused')
-    rows = [(way, *(_text(row.get(name)) for name in names)) for way, row in report.items()]
-    title = f'Knocks of {knock:g} mm/s, margin {margin:g}, simulated'
-    Console(markup=False).print(make_table(title, ('way', *names), rows))
-    settings = {'margin': margin, 'knock_mm_s': knock, 'seed': seed, 'preset': preset}
-    write_json(json, {'simulated': True, 'settings': settings, 'ways': report, 'trials': found})
+    report = {
+        each: {way: summary(all_) for way, all_ in ways.items()} for each, ways in found.items()
+    }
+    rows = [
+        (each, way, *(_text(row.get(name)) for name in COLUMNS.values()))
+        for each, ways in report.items()
+        for way, row in ways.items()
+    ]
+    title = f'Knocks of {knock:g} mm/s, simulated'
+    Console(markup=False).print(make_table(title, ('margin', 'way', *COLUMNS), rows))
+    settings = {'knock_mm_s': knock, 'after_s': after, 'seed': seed, 'preset': preset}
+    write_json(json, {'simulated': True, 'settings': settings, 'margins': report, 'trials': found})
 
 
 def _text(value: float | None) -> str:

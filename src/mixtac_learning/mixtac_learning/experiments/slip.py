@@ -6,10 +6,9 @@ Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a tim
 
 The loop is faster than real time and reproducible. The delays that the real chain adds between the
 parts are constants. The force is the estimate of the simulated sensor, calibrated as a user would
-calibrate it. A grasp begins with the object already held, so the no-contact reference and the gains
-are measured before it: the reference in still frames of the same day without contact, and the gains
-on other days, elsewhere on the gel, by a press with known forces and a mass on a thread, as in
-`calibrate-force --sideways-loads`.
+calibrate it. A grasp begins with the object already held, so the no-contact reference and the gain
+are measured before it: the reference in still frames of the same day without contact, and the gain
+on another day, elsewhere on the gel, by a press with known forces.
 """
 
 from __future__ import annotations
@@ -27,16 +26,6 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
-from mixtac_fger.force_calibration import (
-    PULL,
-    ForceCalibration,
-    ForceCalibrationError,
-    find_plateaus,
-    fit_gain,
-    last_contact,
-    load_of,
-    sideways_gain,
-)
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.experiments.harness import (
@@ -49,17 +38,18 @@ from mixtac_learning.experiments.harness import (
     texts,
 )
 from mixtac_learning.experiments.models import MODELS
-from mixtac_learning.judge.estimators import TrialEstimate, stream
+from mixtac_learning.judge.estimators import stream
 from mixtac_learning.judge.report import PAPER, new_axes, save_figure
 from mixtac_learning.train.config import OURS
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.arm import READY, JointTrajectoryController, LaggingArm, Trajectory, violations
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grasp.objects import draw_setup
+from mixtac_sim.grasp.skin import SETTLE_S
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.gestures import PULL_WAYS, PULLED_G
 from mixtac_sim.world.plans import TrialSpec
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -70,13 +60,9 @@ from mixtac_slip_control.parameters import SlipControlParameters
 
 Floats = NDArray[np.float64]
 ANOTHER_DAY = 1_000_000
-"""Added to the seed of a trial for the days of press and pull."""
+"""Added to the seed of a trial for the day of the press."""
 PRESS_S = 6.0
 """Length of the press [s]."""
-PULLS_S = 24.0
-"""Length of the trial with the mass on a thread [s]."""
-LOAD_SD_G = 1.0
-"""Standard uncertainty of the mass [g]."""
 TOUCHED_N = 0.05
 """True force from which on a window counts for a gain [N]."""
 ENCODED_US = 8_000
@@ -88,79 +74,32 @@ def _model() -> Model:
     return with_gain(read_model(find_model(DEFAULT_MODEL)), 1.0, CALIBRATED_DEVIATION)
 
 
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """Gains of a sensor.
-
-    Attributes:
-        normal: Of the normal force, which counts for all axes.
-        sideways: Further gain of the sideways force, expected by the known pulls at other places.
-    """
-
-    normal: float = 1.0
-    sideways: float = 1.0
-
-
 @lru_cache(maxsize=16)
-def calibrate(device_seed: int, seed: int, preset: str) -> Gains:
-    """Return the gains that a press and pulls with known forces give.
+def press_gain(seed: int, preset: str) -> float:
+    """Return the gain of a sensor, measured by a press with known forces on another day.
 
     Args:
-        device_seed: Seed of the sensor.
-        seed: Seed of the trial that is to follow: press and pulls are of other days.
+        seed: Seed of the sensor, and of the trial that is to follow.
         preset: Difficulty preset of the sensor.
     """
-
-    def measured(profile: str, days: int, seconds: float, normal: float) -> TrialEstimate:
-        spec = TrialSpec(device_seed, seed + days * ANOTHER_DAY, profile, seconds, preset)
-        return stream(_model(), SimulatedSource(spec).load(), force_scale=normal)
-
-    press = measured('press', 1, PRESS_S, 1.0)
+    spec = TrialSpec(seed, seed + ANOTHER_DAY, 'press', PRESS_S, preset)
+    press = stream(_model(), SimulatedSource(spec).load())
     known, force = (each[press.known > TOUCHED_N] for each in (press.known, press.force))
     both = float((known * force).sum())
-    normal = both / float((force**2).sum()) if both > 0.0 else 1.0
-    pulls = measured('pulls', 2, PULLS_S, normal)
-    if pulls.across is None:
-        return Gains(normal)
-    t_s = 1e-6 * (pulls.t_us - pulls.t_us[0])
-    try:
-        fit = fit_sideways(t_s, pulls.force, pulls.across[:, :2])
-    except ForceCalibrationError:
-        return Gains(normal)
-    return Gains(normal, sideways_gain(fit, 1.0)[0])
-
-
-def fit_sideways(t_s: Floats, force: Floats, across: Floats) -> ForceCalibration:
-    """Return the gain of the sideways force by a trial of the profile `pulls`.
-
-    Args:
-        t_s: Time of each estimate [s], [T].
-        force: Normal force [N], [T].
-        across: Sideways force x and y [N], [T, 2].
-
-    Raises:
-        ForceCalibrationError: The sensor cannot be calibrated so.
-    """
-    _, contact = last_contact(t_s, force)
-    loads = [load_of(PULLED_G, LOAD_SD_G)] * len(PULL_WAYS)
-    aside = across[contact] @ np.array([1.0, 1.0j])
-    return fit_gain(loads, find_plateaus(t_s[contact], aside, len(loads), PULL), PULL)
+    return both / float((force**2).sum()) if both > 0.0 else 1.0
 
 
 class SensedForce:
-    """Estimates force and shear in a grasp; its reference is from the time before the contact.
+    """Estimates the force in a grasp; its reference is from the time before the contact.
 
     Args:
         grasp: The grasp at its start.
-        gains: Of the sensor.
+        gain: Gain of the sensor.
     """
 
-    def __init__(self, grasp: Grasp, gains: Gains) -> None:
+    def __init__(self, grasp: Grasp, gain: float) -> None:
         self.estimator = ForceEstimator(
-            open_estimator(_model()),
-            assume_free=True,
-            force_scale=gains.normal,
-            sideways_scale=gains.sideways,
+            open_estimator(_model()), assume_free=True, force_scale=gain
         )
         self._frames: list[ApsFrame] = []
         reference = self.estimator.reference
@@ -168,7 +107,7 @@ class SensedForce:
             self._push(frame)
         if reference is not None and reference.array is not None:
             # The contact of the grasp begins without having been seen: a stored reference.
-            self.estimator.use_reference(reference.array)
+            reference.use(reference.array)
 
     def advance(
         self, events: Events, frames: Iterable[ApsFrame], until_us: int
@@ -244,10 +183,13 @@ class ClosedLoop:
         grasp: The grasp, with a camera.
         settings: Settings of the slip controller.
         force: The sensor's force.
+
+    Attributes:
+        grasp: The grasp.
     """
 
     def __init__(self, grasp: Grasp, settings: SlipControlParameters, force: SensedForce) -> None:
-        self._grasp, self._force = grasp, force
+        self.grasp, self._force = grasp, force
         self._estimates: list[Estimate] = []
         self._arm = JointTrajectoryController()
         self._arm.reset(READY, EPOCH_S)
@@ -263,21 +205,22 @@ class ClosedLoop:
         self._answered: list[float] = []
         self._steps: list[SlipStep] = []
 
-    def run(self, seconds: float, enable_s: float) -> LoopRecord:
-        """Run to a time and return the record.
+    def run(self, until_s: float) -> None:
+        """Run to a time [s] from the start."""
+        while self._cycle < round(until_s / CYCLE_S):
+            self._step()
 
-        Args:
-            seconds: Length [s].
-            enable_s: Time at which the controller is enabled [s]; it must have learned its
-                background by then.
+    def enable(self, settings: SlipControlParameters) -> None:
+        """Enable the controller with other settings; it must have learned its background.
 
         Raises:
             SlipControlError: The controller cannot be enabled.
         """
-        for cycle in range(1, round(seconds / CYCLE_S) + 1):
-            self._step()
-            if cycle == round(enable_s / CYCLE_S):
-                self._controller.enable(self._now_s)
+        self._controller.configure(settings)
+        self._controller.enable(self._now_s)
+
+    def record(self) -> LoopRecord:
+        """Return what happened so far."""
         names = ('t_us', 'object_mm', 'speed_mm_s', 'normal_n')
         parts: Any = {n: np.concatenate([getattr(b, n) for b in self._blocks]) for n in names}
         return LoopRecord(
@@ -304,7 +247,7 @@ class ClosedLoop:
             self._rejected += self._arm.accept(trajectory, arrival_s) is not None
         command = self._arm.sample(now_s)[0]
         way = self._tip.follow(command, STEPS)
-        block = self._grasp.advance(way)
+        block = self.grasp.advance(way)
         self._cycle += 1
         self._blocks.append(block)
         self._ways.append(way)
@@ -411,6 +354,9 @@ class TrialPlan:
             object.
         preset: Difficulty preset of the virtual sensor.
         settings: Settings of the slip controller.
+        knock_s: Onset of the knock [s].
+        grasp_n: Grasp force for which the object is weighed, to about 10 % [N]; None for the mass
+            that is drawn.
     """
 
     name: str = 'box'
@@ -420,9 +366,11 @@ class TrialPlan:
     stiffness_n_per_mm: float | None = None
     preset: str = 'paper_like'
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
+    knock_s: float = KNOCK_S
+    grasp_n: float | None = None
 
-    def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
-        """Return the grasp of this trial at its start."""
+    def grasp(self, knock_s: float, *, camera: bool) -> Grasp:
+        """Return the grasp of this trial at its start, with another onset of the knock [s]."""
         setup = draw_setup(
             self.name,
             np.random.default_rng([self.seed, 7]),
@@ -431,21 +379,38 @@ class TrialPlan:
             knock_s=knock_s,
             stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
-        day, rest_s = (self.seed, self.seed, preset(self.preset)), KNOCK_S + AFTER_KNOCK_S
+        if self.grasp_n is not None:
+            friction = setup.friction.static(SETTLE_S) + setup.wall_mu
+            setup = replace(setup, mass_g=1e3 * self.grasp_n / self.margin * friction / GRAVITY)
+        day, rest_s = (self.seed, self.seed, preset(self.preset)), self.knock_s + AFTER_KNOCK_S
         return Grasp(setup, *day, camera=camera, rest_s=rest_s)
 
     def uncontrolled(self) -> Arrest:
         """Return the arrest while the arm does not move."""
-        grasp = self.grasp(camera=False, knock_s=EARLY_KNOCK_S)
+        grasp = self.grasp(EARLY_KNOCK_S, camera=False)
         block = grasp.advance(np.zeros(round((EARLY_KNOCK_S + REST_S) / GRID_S)))
         return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * EARLY_KNOCK_S)
 
 
 def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
-    """Run a trial, and the same without control.
+    """Run a trial, and the same without control; see `finish_trial`."""
+    return finish_trial(plan, start_trial(plan))
+
+
+def start_trial(plan: TrialPlan) -> ClosedLoop:
+    """Return a trial at the time of enabling; its controller has learned the background."""
+    grasp = plan.grasp(plan.knock_s, camera=True)
+    loop = ClosedLoop(grasp, plan.settings, SensedForce(grasp, press_gain(plan.seed, plan.preset)))
+    loop.run(ENABLE_S)
+    return loop
+
+
+def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> tuple[dict[str, Any], LoopRecord]:
+    """Enable slip control, run a trial to its end, and the same without control.
 
     Args:
-        plan: Settings of the trial.
+        plan: Settings of the trial; those of the controller may differ from those at the start.
+        loop: The trial at the time of enabling.
 
     Returns:
         Result for JSON, and course of the trial. Times of the result are from the onset of the
@@ -472,10 +437,10 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     Raises:
         SlipControlError: The controller could not be enabled.
     """
-    grasp = plan.grasp(camera=True)
-    force = SensedForce(grasp, calibrate(plan.seed, plan.seed, plan.preset))
-    record = ClosedLoop(grasp, plan.settings, force).run(KNOCK_S + AFTER_KNOCK_S, ENABLE_S)
-    onset_us = 1e6 * KNOCK_S
+    grasp, onset_us = loop.grasp, 1e6 * plan.knock_s
+    loop.enable(plan.settings)
+    loop.run(plan.knock_s + AFTER_KNOCK_S)
+    record = loop.record()
     arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
     free = plan.uncontrolled()
     slipping = np.array([step.slipping for step in record.steps])

@@ -9,16 +9,12 @@ import pytest
 
 from mixtac_learning.experiments.slip import (
     KNOCK_S,
-    PULLS_S,
-    Gains,
     SensedForce,
     TrialPlan,
     arrest_of,
-    calibrate,
-    fit_sideways,
+    press_gain,
     run_trial,
 )
-from mixtac_sim.world.profiles import make_profile
 
 PLAN = TrialPlan('box', 3, 1.03, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
 
@@ -39,34 +35,22 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
     assert result['stopped'] == ''
 
 
-def test_a_calibrated_sensor_measures_force_and_pull_of_a_grasp() -> None:
+def test_a_calibrated_sensor_measures_the_force_of_a_grasp() -> None:
     """The calibration, which takes longest, is that of the trial before."""
     plan = TrialPlan('box', PLAN.seed, margin=1.3, preset=PLAN.preset)
-    grasp = plan.grasp(camera=True)
-    gains = calibrate(plan.seed, plan.seed, plan.preset)
-    assert gains != Gains()
-    force, found = SensedForce(grasp, gains), []
+    grasp = plan.grasp(KNOCK_S, camera=True)
+    gain = press_gain(plan.seed, plan.preset)
+    assert gain != 1.0
+    force, found = SensedForce(grasp, gain), []
     for _ in range(300):
         block = grasp.advance(np.zeros(8))
         found += force.advance(block.events, block.frames, int(block.t_us[-1]))
     last = found[-1]
     assert last.valid
     assert last.deviation is not None
-    assert last.shear is not None
-    # The gains are those of a hemisphere, the object is a box.
+    # The gain is that of a hemisphere, the object is a box.
     assert last.force == pytest.approx(block.normal_n[-1], rel=0.5)
-    # The object pulls the skin down.
-    assert -last.shear.y == pytest.approx(block.pull_n[-1], rel=0.5)
     assert last.end_us == pytest.approx(300_000, abs=2000)
-
-
-def test_the_gain_is_that_of_the_masses_that_pull() -> None:
-    profile = make_profile('pulls', 1, PULLS_S)
-    count = round(PULLS_S * 500)
-    motion, (_, force, _) = profile.motion(0, 16 * count), profile.commands(0, 16 * count)
-    known = np.nan_to_num(motion[15::16, 5:]) * (1.0, -1.0)
-    fit = fit_sideways(2e-3 * np.arange(count), force[15::16] / 0.7, known / 1.6)
-    assert fit.gain == pytest.approx(1.6, rel=1e-3)
 
 
 def test_arrest_is_when_the_object_stands_still_for_good() -> None:
