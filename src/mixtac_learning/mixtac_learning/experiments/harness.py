@@ -140,8 +140,14 @@ def code_version() -> str:
     return digest.hexdigest()
 
 
-def _call(_version: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
-    return function(*arguments)
+def _call(path: Path | None, function: Callable[..., T], *arguments: Any) -> T:  # noqa: ANN401
+    """Return the result that a JSON file holds, or compute it and write the file."""
+    if path is not None and path.exists():
+        stored: T = read_data(path)
+        return stored
+    result = function(*arguments)
+    write_json(path, result)
+    return result
 
 
 HEADINGS = ('what', 'ours', 'paper', 'unit')
@@ -329,20 +335,30 @@ class Context:
         return self.folder / 'figures' / f'{name}.png'
 
     def run(
-        self, title: str, function: Callable[..., T], cases: Sequence[tuple[Any, ...]]
+        self,
+        title: str,
+        function: Callable[..., T],
+        cases: Sequence[tuple[Any, ...]],
+        *,
+        stored: bool = True,
     ) -> list[T]:
         """Return the results of a function for some arguments, in order, with a progress bar.
-
-        Results are stored below `folder` by arguments and code, and not computed again.
 
         Args:
             title: Title of the progress bar.
             function: A function of a module; it can be sent to other processes.
             cases: Arguments of each call.
+            stored: Store the results as JSON below `folder`, by arguments and code, and do not
+                compute them again.
         """
         bar = self.progress.add_task(title, total=len(cases))
-        stored = joblib.Memory(self.folder / 'pieces', verbose=0).cache(_call)
-        calls = [joblib.delayed(stored)(code_version(), function, *case) for case in cases]
+        pieces = self.folder / 'pieces'
+        pieces.mkdir(parents=True, exist_ok=True)
+        keys = [joblib.hash((code_version(), function.__qualname__, case)) for case in cases]
+        calls = [
+            joblib.delayed(_call)(pieces / f'{key}.json' if stored else None, function, *case)
+            for key, case in zip(keys, cases, strict=True)
+        ]
         results = []
         # Processes share the cores, so each gets one thread.
         with joblib.parallel_config(

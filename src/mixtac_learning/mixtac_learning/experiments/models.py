@@ -135,7 +135,9 @@ def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, Wei
         replace(config, data=replace(config.data, cache=cache)) for config in configs.values()
     ]
     _prepare(context, chosen)
-    return dict(zip(configs, context.run('training', _train, [(c,) for c in chosen]), strict=True))
+    # Each training keeps its own checkpoints.
+    trained = context.run('training', _train, [(c,) for c in chosen], stored=False)
+    return dict(zip(configs, trained, strict=True))
 
 
 def _train(config: RunConfig) -> Weights:
@@ -177,7 +179,7 @@ def estimates(
         MixtacError: A trial cannot be used.
     """
     found: Estimates = {}
-    for result in context.run(f'{title}: testing', _judge, tests):
+    for result in context.run(f'{title}: testing', _judge, tests, stored=False):
         for (model, seed), estimate in result.items():
             found.setdefault(model, {}).setdefault(seed, []).append(estimate)
     return found

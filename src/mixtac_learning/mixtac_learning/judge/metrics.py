@@ -227,18 +227,18 @@ def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
 
 
 SLOW_SPAN_S = 0.04
-"""Span of the change of the known force by which a window is slow: a frame interval [s]."""
-SLOW_N = 0.02
-"""Largest change within `SLOW_SPAN_S` of a slow window [N]."""
-RIGHT_N = 0.05
+"""Span over which the change of the known force is measured: a frame interval [s]."""
+SLOW_N_S = 1.0
+"""Largest rate of the known force in a slow window [N/s]."""
+RIGHT_N = 0.1
 """Error up to which a force is right [N]."""
-RIGHT_SHARE = 0.1
-"""Share of the known force up to which an error is right as well."""
+RIGHT_DEVIATIONS = 1.96
+"""Error up to which a force is right as well, over its standard deviation."""
 COLLAPSE_N = 0.2
 """Smallest known force at which an estimate can collapse [N]."""
-COLLAPSE_SHARE = 0.25
+COLLAPSE_SHARE = 0.35
 """Share of the known force below which an estimate has collapsed."""
-COLLAPSE_S = 0.05
+COLLAPSE_S = 0.03
 """Shortest collapse [s]."""
 
 
@@ -246,19 +246,24 @@ def trial_row(each: TrialEstimate) -> dict[str, Any]:
     """Return the figures of one trial or bag; None where the model does not give what they need.
 
     Returns:
-        `bag`, the name; `mae_n` and `rmse_n` [N]; `mae_best_gain_n`, the MAE after the best gain of
-        this bag; `frames_held_mae_n`, the MAE of the model's force of the latest frame; `slow_...`,
-        the same in windows in which the known force hardly changes; `coverage_68` and
-        `coverage_95`; `falsely_invalid`, the share of windows that are not valid though the force
-        is right; `collapses`, how often the estimate stays near zero under a force.
+        `bag`, the name; `mae_n` and `rmse_n` [N]; `mae_best_gain_n`, the MAE after the best
+        gain of this bag; `frames_held_mae_n`, the MAE of the frames-only force, held until the next
+        frame, after the same gain; `slow_mae_n` and `slow_frames_held_mae_n`, both after that gain
+        where the known force changes by less than `SLOW_N_S`; `coverage_68` and `coverage_95`;
+        `falsely_invalid`, the share of windows that are not valid although the force is right;
+        `collapses`, how often the estimate stays far below the force.
     """
-    error, reach = each.force - each.known, max(round(0.5 * SLOW_SPAN_S / each.interval_s), 1)
+    gain = best_gain(each.force, each.known)
+    error, gained = each.force - each.known, gain * each.force - each.known
+    held = None if each.frames_only is None else np.abs(gain * each.frames_only - each.known)
+    reach = max(round(0.5 * SLOW_SPAN_S / each.interval_s), 1)
     around = np.pad(each.known, reach, 'edge')
-    slow = np.abs(around[2 * reach :] - around[: -2 * reach]) <= SLOW_N
-    held = None if each.frames_only is None else each.frames_only - each.known
-    gained = best_gain(each.force, each.known) * each.force - each.known
-    right = np.abs(error) <= np.maximum(RIGHT_N, RIGHT_SHARE * np.abs(each.known))
-    low = (each.known > COLLAPSE_N) & (each.force < COLLAPSE_SHARE * each.known)
+    change = np.abs(around[2 * reach :] - around[: -2 * reach])
+    slow = change <= SLOW_N_S * 2 * reach * each.interval_s
+    right = np.abs(error) <= RIGHT_N
+    if each.deviation is not None:
+        right |= np.abs(error) <= RIGHT_DEVIATIONS * each.deviation
+    low = (each.known > COLLAPSE_N) & (gain * each.force < COLLAPSE_SHARE * each.known)
     turns = np.flatnonzero(np.diff(low.astype(np.int8), prepend=0, append=0))
     lasting = np.diff(turns)[::2] * each.interval_s >= COLLAPSE_S
     covered = _coverage([each])
@@ -268,9 +273,9 @@ def trial_row(each: TrialEstimate) -> dict[str, Any]:
         'mae_n': _mean(np.abs(error)),
         'mae_best_gain_n': _mean(np.abs(gained)),
         'rmse_n': round(float(np.sqrt(np.mean(error**2))), 4),
-        'frames_held_mae_n': None if held is None else _mean(np.abs(held)),
-        'slow_mae_n': _mean(np.abs(error[slow])),
-        'slow_frames_held_mae_n': None if held is None else _mean(np.abs(held[slow])),
+        'frames_held_mae_n': None if held is None else _mean(held),
+        'slow_mae_n': _mean(np.abs(gained[slow])),
+        'slow_frames_held_mae_n': None if held is None else _mean(held[slow]),
         **{name: round(covered[name], 4) if covered else None for name in INTERVALS},
         'falsely_invalid': None if invalid is None else _mean(invalid),
         'collapses': int(np.count_nonzero(lasting)),

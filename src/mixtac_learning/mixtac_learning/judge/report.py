@@ -283,7 +283,10 @@ def run_evaluation(
         title = f'{path.name} on {gels} unseen sensors, simulated'
         chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
         content |= {'simulated': chosen, 'metrics': {'unseen_devices': rows}}
-    content['rows'] = [trial_row(each) for each in judged.estimates]
+    paths = {each.name: str(each.origin.get('bag', each.name)) for each in sources}
+    content['rows'] = [
+        trial_row(each) | {'bag': paths.get(each.name, each.name)} for each in judged.estimates
+    ]
     content['skipped'] = judged.skipped
     console = Console(markup=False)
     show_figures(console, title, rows)

@@ -79,9 +79,11 @@ def test_a_row_of_a_bag_worked_out_by_hand():
     assert row['mae_n'] == pytest.approx((440 * 0.1 + 60 * 0.8) / 1000)
     assert row['rmse_n'] == pytest.approx(np.sqrt((440 * 0.01 + 60 * 0.64) / 1000), abs=1e-4)
     assert row['mae_best_gain_n'] == pytest.approx(60 * (1 - 0.2 / 0.9) / 1000, abs=1e-4)
-    assert row['frames_held_mae_n'] == row['slow_frames_held_mae_n'] == pytest.approx(0.02)
+    # All at the best gain, 1 / 0.9.
+    held = (500 * 0.02 / 0.9 + 500 * (0.98 / 0.9 - 1)) / 1000
+    assert row['frames_held_mae_n'] == pytest.approx(held, abs=1e-4)
     # 20 ms before and after the step are not slow.
-    assert row['slow_mae_n'] == pytest.approx((430 * 0.1 + 60 * 0.8) / 980, abs=1e-4)
+    assert row['slow_mae_n'] == pytest.approx(60 * (1 - 0.2 / 0.9) / 980, abs=1e-4)
     assert row['coverage_68'] == row['coverage_95'] == pytest.approx(0.94)
     assert row['falsely_invalid'] == pytest.approx(0.1)
     assert row['collapses'] == 1
