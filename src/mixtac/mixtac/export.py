@@ -96,8 +96,8 @@ def import_(
     wrenches, seconds = counts.wrenches.get(REFERENCE, 0), 1e-6 * counts.length_us
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
     console.print(
-        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s,'
-        f' {counts.info.width} x {counts.info.height} pixels'
+        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, times on a grid of'
+        f' {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
     )
     if same_clock and wrenches:
         one = ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), np.zeros(0), method='one clock')

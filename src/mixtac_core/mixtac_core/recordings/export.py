@@ -52,6 +52,8 @@ LEAST_HZ: Final = 10.0
 """Fewer events per second than the noise of any event camera [1/s]."""
 MOST_HZ: Final = 1e8
 """More events per second than any event camera sends [1/s]."""
+COARSEST_US: Final = 1000
+"""Least grid of the times of events that is reported [us]: windows are of milliseconds."""
 TableParts = Iterator[tuple[str, Rows]]
 """Rows of tables in recorded order: the name of a table, and its columns of equal length."""
 
@@ -69,6 +71,7 @@ class Counts:
         edges: Edges.
         wrenches: Wrenches by topic.
         length_us: From the first to the last time [us]; known after an import.
+        grid_us: Greatest common divisor of the times between events [us]; 0 if unknown.
     """
 
     info: RecordingInfo
@@ -79,6 +82,8 @@ class Counts:
     edges: int = 0
     wrenches: dict[str, int] = field(default_factory=dict)
     length_us: int = 0
+    grid_us: int = 0
+    _latest_us: int | None = None
 
     def add(self, piece: Piece) -> None:
         """Count the readings of a piece."""
@@ -86,6 +91,11 @@ class Counts:
         self.samples += len(piece.imu.t)
         self.frames += len(piece.frames)
         self.edges += len(piece.edges.t)
+        if len(piece.events) and self.grid_us != 1:
+            t = piece.events.t
+            steps = np.diff(t, prepend=t[0] if self._latest_us is None else self._latest_us)
+            self.grid_us = int(np.gcd.reduce(steps, initial=self.grid_us))
+            self._latest_us = int(t[-1])
 
     def warnings(self) -> list[str]:
         """Return missing and doubtful parts, one line for each."""
@@ -99,6 +109,10 @@ class Counts:
         rate_hz = self.events / (1e-6 * self.length_us) if self.length_us else 0.0
         if self.events and self.length_us and not LEAST_HZ < rate_hz < MOST_HZ:
             found.append(f'{rate_hz:.3g} events per second: check the unit of their times')
+        if self.grid_us >= COARSEST_US:
+            found.append(
+                f'times of events are on a grid of {self.grid_us} us, too coarse for 1 ms windows'
+            )
         return found
 
 

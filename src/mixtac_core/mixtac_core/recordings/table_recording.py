@@ -40,6 +40,7 @@ from mixtac_core.recordings.tables import (
     Rows,
     TableOptions,
     find_tables,
+    stated_size,
     topic_file,
 )
 
@@ -192,7 +193,7 @@ def open_table_recording(
             f'{path} holds tables: there is nothing to choose',
             remedy='leave out --events, --image and --imu',
         )
-    known, unit = options.size, options.time_unit
+    known, unit = options.size or stated_size(path), options.time_unit
     if known is None and 'frames' in tables:
         for rows in itertools.islice(_checked_rows(path, 'frames', tables['frames'], unit), 1):
             known = rows['image'].shape[2], rows['image'].shape[1]

@@ -3,9 +3,10 @@
 """Tables of events, frames, inertial samples and forces in CSV, NPZ and HDF5 files.
 
 Columns have documented names (`COLUMNS`). CSV files are separated by commas, or by white space if
-their first line contains no comma; lines that begin with `#` are comments. HDF5 files may have the
-layout of the DSEC data set (`events/p, x, y, t` and `t_offset`, https://dsec.ifi.uzh.ch/data-format/);
-events may be one array of four columns.
+their first line contains no comma; lines that begin with `#` are comments, and a first line of two
+integers before lines of four columns is the size of the camera. HDF5 files may have the layout of
+the DSEC data set (`events/p, x, y, t` and `t_offset`, https://dsec.ifi.uzh.ch/data-format/); events
+may be one array of four columns.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import importlib
 import itertools
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -220,18 +221,40 @@ def _columns(path: Path, headings: Iterable[str]) -> tuple[list[str], str]:
     return names, stated
 
 
-def _read_csv(path: Path) -> Iterator[Block]:
+def _lines(path: Path) -> Generator[str, None, None]:
+    """Yield the lines of a text file that are neither empty nor comments."""
     with path.open(encoding='utf-8-sig', errors='replace') as file:
-        lines: Iterator[str] = (line for line in file if line.strip() and not line.startswith('#'))
+        yield from (line for line in file if line.strip() and not line.startswith('#'))
+
+
+def stated_size(path: Path) -> tuple[int, int] | None:
+    """Return width and height of the camera if they are the first line of a text file, else None.
+
+    Args:
+        path: File of events, or a folder with such a file.
+    """
+    paths = [path / f'events{each}' for each in TEXT_SUFFIXES] if path.is_dir() else [path]
+    for text in (each for each in paths if each.suffix in TEXT_SUFFIXES and each.is_file()):
+        rows = [each.replace(',', ' ').split() for each in itertools.islice(_lines(text), 2)]
+        if [len(row) for row in rows] == [2, 4] and ''.join(rows[0]).isdigit():
+            return int(rows[0][0]), int(rows[0][1])
+    return None
+
+
+def _read_csv(path: Path) -> Iterator[Block]:
+    with contextlib.closing(_lines(path)) as lines:
+        rest: Iterator[str]
         first = next(lines, '')
+        if stated_size(path):
+            first = next(lines)
         if not first:
             raise RecordingError(f'{path} is empty', remedy='give a table with rows')
         separator = ',' if ',' in first else None
         cells = next(csv.reader([first], skipinitialspace=True)) if separator else first.split()
         if not _is_number(cells[0]):
-            names, stated = _columns(path, cells)
+            (names, stated), rest = _columns(path, cells), lines
         elif len(cells) in UNNAMED:
-            names, stated, lines = [*UNNAMED[len(cells)]], '', itertools.chain([first], lines)
+            names, stated, rest = [*UNNAMED[len(cells)]], '', itertools.chain([first], lines)
         else:
             raise RecordingError(
                 f'{path} has {len(cells)} columns and no headings: {first.strip()!r}',
@@ -239,7 +262,7 @@ def _read_csv(path: Path) -> Iterator[Block]:
             )
         # Pictures may differ in size.
         start, size = 1, 1 if 'file' in names else ROWS
-        while part := list(itertools.islice(lines, size)):
+        while part := list(itertools.islice(rest, size)):
             split = csv.reader(part, skipinitialspace=True) if separator else map(str.split, part)
             table = _table(path, list(split), names, start)
             start += len(table)
@@ -261,7 +284,7 @@ def _table(path: Path, rows: list[list[str]], names: list[str], start: int) -> N
         if len(row) != len(names):
             raise RecordingError(
                 f'{path}, row {number}: {len(row)} cells, not {len(names)} ({", ".join(names)})',
-                remedy='complete or remove the row, or a first line that is the size of the camera',
+                remedy='complete or remove the row',
             )
     return np.array(rows)
 

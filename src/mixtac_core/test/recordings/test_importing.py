@@ -84,7 +84,6 @@ def test_seconds_with_dust_behind_the_microsecond(tmp_path: Path):
         ('t,x,y,p\n5,7.9,3,0\n', '7.9'),
         ('t;x;y;p\n5;2;3;0\n', 't;x;y;p'),
         ('7,2,1,1\n3,2,1,0\n', '3 us'),
-        ('346 260\n7 2 1 1\n', 'row 2'),
     ],
 )
 def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str, named: str):
@@ -93,6 +92,16 @@ def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str, nam
         import_recording(tmp_path / 'events.csv', tmp_path / 'bag')
     assert named in caught.value.message
     assert [each.name for each in tmp_path.iterdir()] == ['events.csv']
+
+
+@pytest.mark.parametrize('heading', ['', '240 180\n', '# made by a tool\n240,180\n'])
+def test_a_first_line_with_the_size_is_read(tmp_path: Path, heading: str):
+    file = tmp_path / 'events.txt'
+    file.write_text(heading + '0 2 1 1\n4000 3 1 0\n10000 3 2 0\n')
+    counts = import_recording(file, tmp_path / 'bag')
+    assert (counts.events, counts.grid_us, counts.info.size_known) == (3, 2000, bool(heading))
+    assert counts.info.width == (240 if heading else 346)
+    assert any('2000' in line for line in counts.warnings())
 
 
 def imported_forces(folder: Path, path: Path, **options: str) -> tuple[list[int], list[float]]:
