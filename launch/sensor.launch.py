@@ -9,10 +9,10 @@ from launch_ros.actions import Node
 from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.launch_actions import (
     BOOLEAN,
-    QUIET_IMPORTS,
     environment,
     given,
     node_actions,
+    quiet_imports,
     shared_arguments,
     value,
 )
@@ -104,7 +104,7 @@ def _nodes(context):
         executable='frames_node',
         exec_name='frames_node',
         namespace=value(context, 'namespace'),
-        prefix=QUIET_IMPORTS,
+        prefix=quiet_imports(),
     )
     published = value(context, 'frames') == 'true'
     return [*node_actions(context, *graph), *([frames] if published else [])]

@@ -61,7 +61,7 @@ def doctor(
         typer.Option(
             metavar='FILE.zip',
             callback=writable,
-            help='Write findings, versions, parameters and raw camera data for a bug report.',
+            help='Zip file to write for a bug report: findings, versions, parameters, raw data.',
         ),
     ] = None,
 ) -> None:

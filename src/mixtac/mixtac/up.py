@@ -290,7 +290,7 @@ def slip(
     ] = 1,
     seconds: RunTime = 0.0,
 ) -> None:
-    """Hold a simulated object against disturbances with the real driver and slip control."""
+    """Run the real driver, estimator and slip control on a simulated grasp that is struck."""
     from mixtac.monitor_node import Monitor
 
     simulated = {'use_sim_time': True}

@@ -301,7 +301,17 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             self._nodes[status.name] = f'{level}: {status.message.replace("|", "/")}'
 
     def _draw(self) -> None:
-        """Draw everything received since the last call."""
+        """Draw everything received since the last call.
+
+        Raises:
+            ViewError: It cannot be drawn, or not be written to the file.
+        """
+        try:
+            self._log_all()
+        except Exception as error:
+            raise ViewError(f'the live view stopped: {error}') from error
+
+    def _log_all(self) -> None:
         rr, log = self._rr, self._stream.log
         self._stream.set_time(TIMELINE, timestamp=time.time())
         if all(self._picture.shape):

@@ -55,8 +55,10 @@ class VirtualProcess:
         report.daemon = True
         report.start()
         assert self._process.stdout is not None  # noqa: S101  (always piped)
-        found = json.loads(self._process.stdout.readline() or '{}')
+        # Libraries may print lines before the answer.
+        answer = next((line for line in self._process.stdout if line.startswith(b'{')), b'{}')
         report.cancel()
+        found = json.loads(answer)
         if not found.get('device'):
             self.close()
             why = found.get('error') or 'the virtual sensor ended before it was ready'

@@ -194,11 +194,3 @@ def test_damaged_packets_are_lost(packet, data):
     assert not meter.add(10**9, data)
     assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
     assert (meter.messages, meter.missing) == (1, 1)
-
-
-def test_jitter_of_stamps_is_no_loss():
-    meter = TopicMeter(FORCE)
-    jitter = np.random.default_rng(0).normal(0.0, 0.1, 4000)
-    for n, part in enumerate(jitter):
-        meter.add(n, stamped(10**9 + int((n + part) * 1_250_000)))
-    assert meter.missing < 10

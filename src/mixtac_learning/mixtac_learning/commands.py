@@ -28,7 +28,8 @@ ReferenceTopic = Annotated[
     str, typer.Option('--reference-topic', help='Topic of the reference force in the bags.')
 ]
 JsonFile = Annotated[
-    OptionalPath, typer.Option('--json', help='JSON file for the figures.', callback=writable)
+    OptionalPath,
+    typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
 ]
 
 

@@ -252,12 +252,10 @@ class Signals:
 
     Attributes:
         received: Whether a signal has arrived.
-        ended: Done from then on.
     """
 
     def __init__(self) -> None:
         self.received = False
-        self.ended = Future()
         self._stderr = os.dup(2)
         signal.signal(signal.SIGALRM, self._interrupt)
         for number in ENDING:
@@ -269,7 +267,6 @@ class Signals:
         if not self.received:
             self.received = True
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
-            self.ended.set_result(None)
 
     def _interrupt(self, _signum: int, _frame: object) -> None:
         # rclpy logs what leaves a callback as FATAL, with a traceback.
@@ -306,7 +303,7 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = node_class()
         freeze_loaded()
-        _spin(node, signals.ended)
+        _spin(node, signals)
     except (ExternalShutdownException, KeyboardInterrupt):
         pass
     except Exception as error:
@@ -328,7 +325,7 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
     return 0
 
 
-def _spin(node: Any, ended: Future) -> None:  # noqa: ANN401
+def _spin(node: Any, signals: Signals) -> None:  # noqa: ANN401
     """Run callbacks until a signal arrives or a check of the node fails.
 
     The check is a callback of the executor. On a busy host it comes late, but it comes: the
@@ -337,8 +334,12 @@ def _spin(node: Any, ended: Future) -> None:  # noqa: ANN401
     Raises:
         MixtacError: From `check`.
     """
+    ended = Future()
 
     def check() -> None:
+        # Not by the handler of the signal: the lock of the future may be held where it arrives.
+        if signals.received and not ended.done():
+            ended.set_result(None)
         try:
             node.check()
         except MixtacError as error:
@@ -352,15 +353,16 @@ def _spin(node: Any, ended: Future) -> None:  # noqa: ANN401
     node.create_timer(REARM_PERIOD_S, rearm, clock=steady)
     executor = EventsExecutor()
     executor.add_node(node)
-    while rclpy.ok() and not ended.done():
+    while rclpy.ok() and not (signals.received or ended.done()):
         try:
             # In the wheels of Jazzy, spin() of this executor never calls back.
             executor.spin_until_future_complete(ended, timeout_sec=CHECK_PERIOD_S)
         except (MixtacError, ExternalShutdownException):
             raise
         except Exception:
-            if ended.done():
+            if signals.received:
                 raise
             # rclpy itself raises for parameters of unknown types and for times before the epoch.
             node.get_logger().error(f'a callback failed: {traceback.format_exc()}')
-    ended.result()
+    if ended.done():
+        ended.result()

@@ -153,7 +153,10 @@ def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401
         found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if found is None or found.dtype not in (np.uint8, np.uint16):
         raise ImageConversionError(f'compressed image of {data.size} bytes is damaged')
-    return found if found.ndim == 2 else np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2GRAY))
+    if found.ndim == 3:
+        return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2GRAY))
+    kind = str(message.format).partition(';')[0].rstrip('0123456789')
+    return np.asarray(cv2.cvtColor(found, _code(kind, 'GRAY'))) if kind in _MOSAICS else found
 
 
 def _layout(message: Any) -> tuple[str, int]:  # noqa: ANN401

@@ -8,7 +8,9 @@ Needs `launch` and `launch_ros`, which come with a ROS installation only.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,8 +27,6 @@ from mixtac_core.node.process import GraphError, fatal_text, profile_environment
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
 
 BOOLEAN = ['true', 'false']
-QUIET_IMPORTS = 'env --block-signal=INT'
-"""Prefix of a node's command with which SIGINT waits for the end of the imports."""
 _SHARED: dict[str, dict[str, Any]] = {
     'namespace': {
         'default_value': DEFAULT_NAMESPACE,
@@ -136,10 +136,18 @@ def _node(context: LaunchContext, spec: NodeSpec) -> Node:
         name=spec.name,
         namespace=value(context, 'namespace'),
         output='screen',
-        prefix=QUIET_IMPORTS,
+        prefix=quiet_imports(),
         # Not as `parameters`: launch_ros writes values for the named node only, and two nodes of
         # one process have two names.
         arguments=spec.ros_arguments(
             Path(own) if own else None, value(context, 'log_level') or 'info'
         ),
     )
+
+
+@functools.cache
+def quiet_imports() -> str:
+    """Return the prefix with which SIGINT waits for the end of the imports; empty without one."""
+    prefix = ['env', '--block-signal=INT']
+    supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
+    return ' '.join(prefix) if supported else ''

@@ -215,10 +215,11 @@ class ProcessGroup:
             code = process.poll()
             if code is not None:
                 self._readers[name].join(1.0)
-                how = f'ended with status {code}'
                 if code < 0:
-                    how = f'was ended by {signal.Signals(-code).name}'
-                raise GraphError(': '.join(filter(None, (f'{name} {how}', self.last_error(name)))))
+                    # What it logged before has nothing to do with it.
+                    raise GraphError(f'{name} was ended by {signal.Signals(-code).name}')
+                how = f'{name} ended with status {code}'
+                raise GraphError(': '.join(filter(None, (how, self.last_error(name)))))
 
     def pid(self, name: str) -> int:
         """Return the id of a process."""

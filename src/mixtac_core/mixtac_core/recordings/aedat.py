@@ -154,8 +154,8 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
     streams: Streams = {}
     try:
-        file = _open(path, camera)
         _check(path, camera)
+        file = _open(path, camera)
         for kind, (table, following, convert) in _STREAMS.items():
             if wanted.get(kind) != NONE and getattr(file, f'is{kind.title()}StreamAvailable')():
                 streams[table] = partial(_rows, path, camera, following, convert)

@@ -89,18 +89,20 @@ def summarise(path: Path, options: TableOptions | None = None) -> Summary:
             notes += [f'{missing} messages of its index are missing'] if missing > 0 else []
         except DamagedRecordingError as error:
             notes.append(str(error))
-        for topic in bag.topics(EVENTS.type_name, *(EVENT_ARRAYS if bag.is_ros1 else ())):
-            try:
-                with contextlib.closing(BagRecording(path, Selection(topic, NONE, NONE))) as each:
-                    part = _summarise_readings(each)
-                found.events[topic] = part.events.get('events', EventSummary())
-                found.warnings += [f'{topic}: {text}' for text in part.warnings]
-                notes.append(part.damage)
-            except RecordingError as error:
-                notes.append(str(error))
-        # Damage of a file shows in each of its topics.
-        found.damage = '; '.join(filter(None, dict.fromkeys((bag.damage, *notes))))
-        return found
+        events = bag.topics(EVENTS.type_name, *(EVENT_ARRAYS if bag.is_ros1 else ()))
+        notes.insert(0, bag.damage)
+    for topic in events:
+        try:
+            with contextlib.closing(BagRecording(path, Selection(topic, NONE, NONE))) as each:
+                part = _summarise_readings(each)
+            found.events[topic] = part.events.get('events', EventSummary())
+            found.warnings += [f'{topic}: {text}' for text in part.warnings]
+            notes.append(part.damage)
+        except RecordingError as error:
+            notes.append(str(error))
+    # Damage of a file shows in each of its topics.
+    found.damage = '; '.join(filter(None, dict.fromkeys(notes)))
+    return found
 
 
 def _summarise_readings(recording: Recording) -> Summary:
