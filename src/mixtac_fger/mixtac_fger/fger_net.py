@@ -365,6 +365,7 @@ class FgerEstimator(Estimator):
             # In a blow the frame is a mixture of forces, and no force at its centre.
             self._passed = not self._passed and self.path.blow(lag, BLOW_WINDOWS)
             if self._passed:
+                self.path.forget_frame()
                 return
             self._pending_n += self.path.correct(frame.content.feature, lag)
         self._pending_windows = SPREAD_WINDOWS
@@ -409,8 +410,10 @@ class FgerEstimator(Estimator):
             deviation = math.hypot(deviation, self._rest_deviation, unconfirmed)
         vibration.step(increment)
         if vibration.active and not vibrated:
-            # The network has forgotten the frames.
+            # The network has forgotten the frames; what the gain has added stays.
             self._pending_n = 0.0
+            path.shift(force - path.network_force)
+            path.confirm()
         if vibrated:
             force += vibration.offset
             if deviation is not None:

@@ -253,7 +253,8 @@ class EventGain:
 
     where F is the corrected force at the centre of the exposure. g is estimated by least squares
     with the forgetting factor `KEPT` per frame. Noise events make A larger, which lowers g: events
-    that explain nothing of what frames show count nothing. The prior is g = 1.
+    that explain nothing of what frames show count nothing. The prior is g = 1. Blows are not used:
+    their events saturate, and no frame shows them.
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
@@ -268,9 +269,14 @@ class EventGain:
     """Share of the sums that is kept from frame to frame."""
     LARGEST: Final = 4.0
     """Largest gain."""
+    LARGEST_N: Final = 1.0
+    """Change from one frame to the next from which on there was a blow [N]."""
 
     def __init__(self, unit: float = 1.0) -> None:
-        self._squares = self._products = (unit * self.PRIOR_N) ** 2
+        self._largest = unit * self.LARGEST_N
+        self._prior = (unit * self.PRIOR_N) ** 2
+        # The prior is left out: it must not fade.
+        self._squares = self._products = 0.0
         self._before: tuple[float, float] | None = None
         self.value = 1.0
 
@@ -289,9 +295,12 @@ class EventGain:
         if before is None:
             return
         change, told = force - before[0], increments - before[1]
+        if max(abs(change), abs(told)) >= self._largest:
+            return
         self._squares = self.KEPT * self._squares + told**2
         self._products = self.KEPT * self._products + told * change
-        self.value = min(max(self._products / self._squares, 0.0), self.LARGEST)
+        gain = (self._products + self._prior) / (self._squares + self._prior)
+        self.value = min(max(gain, 0.0), self.LARGEST)
 
 
 SETTLE_WINDOWS = 100
@@ -400,6 +409,10 @@ class RecurrentPath:
         self._history += np.float32(change)
         self._state.force[0] += change
         return self.force - before
+
+    def forget_frame(self) -> None:
+        """Do not compare the next frame with those before it."""
+        self._gain.forget_frame()
 
     def mean(self, lag: int, half: int) -> float:
         """Return the mean of past estimates [N].

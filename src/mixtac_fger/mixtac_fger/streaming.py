@@ -36,6 +36,7 @@ from mixtac_core.events.packets import Arrival, StreamTime
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_core.node.images import ImageConversionError
 from mixtac_core.node.process import lower_priority
+from mixtac_fger.config import ModelError
 from mixtac_fger.contact_tracking import ContactSettings, ContactTracker
 from mixtac_fger.estimator import Estimate, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
@@ -366,6 +367,8 @@ class ForceEstimator:
             except (ImageError, ImageConversionError) as error:
                 self._count.bad_frames += 1
                 self._count.problem = str(error)
+            except Exception as error:
+                raise ModelError(f'the estimator failed at a frame: {error!r}') from error
 
     def _hold(self, frame: EncodedFrame | None) -> None:
         """Let an encoded frame wait for its events; None is a frame of an incomplete reference."""

@@ -121,7 +121,7 @@ def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial,
     training_cli.train('ours', **options, **folders)
     start, model = read_model(find_model('fger_small')), read_model(out)
     figures = json.loads(report.read_text())['metrics']
-    assert figures['after']['all']['mae'] < 0.8 * figures['before']['all']['mae']
+    assert figures['after']['all']['mae'] < 0.9 * figures['before']['all']['mae']
     assert figures['before']['all']['trials'] == 1
     assert (model.card.training['trials'], model.card.training['start']) == (4, 'fger_small')
     assert model.config == start.config

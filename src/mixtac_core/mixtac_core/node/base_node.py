@@ -252,11 +252,13 @@ class Signals:
 
     Attributes:
         received: Whether a signal has arrived.
+        stderr: Descriptor of the standard error stream, which stays open.
     """
 
     def __init__(self) -> None:
         self.received = False
-        self._stderr = os.dup(2)
+        self.stderr = os.dup(2)
+        self._nowhere = os.open(os.devnull, os.O_WRONLY)
         signal.signal(signal.SIGALRM, self._interrupt)
         for number in ENDING:
             signal.signal(number, self._receive)
@@ -270,7 +272,7 @@ class Signals:
 
     def _interrupt(self, _signum: int, _frame: object) -> None:
         # rclpy logs what leaves a callback as FATAL, with a traceback.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        os.dup2(self._nowhere, 2)
         raise KeyboardInterrupt
 
     def ignore(self) -> None:
@@ -278,7 +280,7 @@ class Signals:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
-        os.dup2(self._stderr, 2)
+        os.dup2(self.stderr, 2)
 
 
 def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> int:
@@ -298,6 +300,9 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
     """
     signals = Signals()
     node: Any = None
+    if signals.received:
+        # Blocked during the imports.
+        return 0
     try:
         with starting():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -346,7 +351,7 @@ def _spin(node: Any, signals: Signals) -> None:  # noqa: ANN401
             ended.set_exception(error)
 
     # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
-    rearm = partial(faulthandler.dump_traceback_later, STUCK_S, exit=True)
+    rearm = partial(faulthandler.dump_traceback_later, STUCK_S, exit=True, file=signals.stderr)
     rearm()
     steady = Clock(clock_type=ClockType.STEADY_TIME)
     node.create_timer(CHECK_PERIOD_S, check, clock=steady)

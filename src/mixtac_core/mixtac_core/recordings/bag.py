@@ -387,7 +387,7 @@ def custom_data(bag: Path) -> dict[str, str]:
 
 def fit_path(bag: Path) -> Path:
     """Return where the clock fit of a bag lies."""
-    return bag.with_name(f'{bag.name}.clock_fit.json')
+    return bag.parent / f'{bag.name}.clock_fit.json'
 
 
 def check_new(bag: Path) -> None:

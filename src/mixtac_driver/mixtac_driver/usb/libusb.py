@@ -101,6 +101,8 @@ class BulkTransfer:
         self._buffer = (ctypes.c_ubyte * size)()
         self._address = ctypes.addressof(self._buffer)
         self._pointer = port.lib.libusb_alloc_transfer(0)
+        if not self._pointer:
+            raise USBError('no memory for a transfer', -11, errno.ENOMEM)
         # Kept here, because ctypes frees a callback without references.
         self._callback = libusb1._libusb_transfer_cb_fn_p(lambda _pointer: on_done(self))  # noqa: SLF001
         self._fields = fields = self._pointer.contents
@@ -227,11 +229,7 @@ class AsynchronousReader:
             self._call_back()
         except USBError as error:
             self._failure = self._failure or error
-        if self._queued:
-            raise HungReadError(
-                f'{len(self._queued)} USB reads were not returned within {DRAIN_TIMEOUT_S} s',
-                remedy='restart the driver; if this persists, unplug the camera',
-            )
+            self._check_returned()
         transfers, self._transfers = self._transfers, []
         for transfer in transfers:
             transfer.free()
@@ -259,8 +257,8 @@ class AsynchronousReader:
         return None
 
     def _on_done(self, read: BulkTransfer) -> None:
-        self._queued.discard(read)
         status, data = read.status, read.data
+        self._queued.discard(read)
         if status not in (COMPLETED, CANCELLED) and self._failure is None:
             number = _ERRNO.get(status, errno.EIO)
             self._failure = USBError(f'transfer ended with status {status}', None, number)
@@ -299,9 +297,21 @@ class AsynchronousReader:
         self._submit(*(read for read in self._transfers if read not in held))
 
     def _call_back(self) -> None:
-        """Cancel the queued reads and take them back."""
+        """Cancel the queued reads and take them back.
+
+        Raises:
+            HungReadError: The kernel does not return one.
+        """
         deadline_s = time.monotonic() + DRAIN_TIMEOUT_S
         for read in list(self._queued):
             read.cancel()
         while self._queued and time.monotonic() < deadline_s:
             self._port.handle_events(LONGEST_WAIT_S)
+        self._check_returned()
+
+    def _check_returned(self) -> None:
+        if self._queued:
+            raise HungReadError(
+                f'{len(self._queued)} USB reads were not returned within {DRAIN_TIMEOUT_S} s',
+                remedy='restart the driver; if this persists, unplug the camera',
+            )

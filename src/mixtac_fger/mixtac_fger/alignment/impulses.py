@@ -247,7 +247,13 @@ NEIGHBOURS: Final = 8
 
 
 def coincidences(
-    x: F64, y: F64, weight: F64 | None = None, *, tolerance_s: float, fewest: int
+    x: F64,
+    y: F64,
+    weight: F64 | None = None,
+    *,
+    tolerance_s: float,
+    fewest: int,
+    drift: float = MAX_DRIFT,
 ) -> list[tuple[int, int]]:
     """Return the pairs of moments that coincide under the clock offset with the most of them.
 
@@ -257,6 +263,7 @@ def coincidences(
         weight: Weight of each pair, ``[len(x), len(y)]``; None for 1.
         tolerance_s: Largest distance of a pair, besides the drift [s].
         fewest: Least number of pairs.
+        drift: Largest relative rate of the clocks, less one.
 
     Raises:
         NoImpulseError: There are fewer pairs under each offset.
@@ -266,8 +273,8 @@ def coincidences(
     found = []
     if min(len(x), len(y)) >= fewest:
         tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64)).tolist()
-        likely = [(i, j) for i in tried for j in _likely(x, y, i, tolerance_s)]
-        found = [pairs_at(x, y, i, j, tolerance_s) for i, j in likely]
+        likely = [(i, j) for i in tried for j in _likely(x, y, i, tolerance_s, drift)]
+        found = [pairs_at(x, y, i, j, tolerance_s, drift) for i, j in likely]
     scored = [(sum(weight[pair] for pair in pairs), pairs) for pairs in found]
     score, best = max(scored, key=lambda each: each[0], default=(0.0, []))
     if len(best) < fewest:
@@ -292,16 +299,18 @@ def _nearest(y: F64, times: F64) -> NDArray[np.int64]:
     return np.asarray(after - ((times - y[after - 1]) < (y[after] - times)), np.int64)
 
 
-def _likely(x: F64, y: F64, i: int, tolerance_s: float) -> list[int]:
+def _likely(x: F64, y: F64, i: int, tolerance_s: float, drift: float) -> list[int]:
     """Return the moments of y that are most likely moment i of x, by the moments around it."""
     around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
     expected = y[:, None] + around
     distance = np.abs(y[_nearest(y, expected)] - expected)
-    meets = (distance <= tolerance_s + MAX_DRIFT * np.abs(around)).sum(axis=1)
+    meets = (distance <= tolerance_s + drift * np.abs(around)).sum(axis=1)
     return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
 
 
-def pairs_at(x: F64, y: F64, i: int, j: int, tolerance_s: float) -> list[tuple[int, int]]:
+def pairs_at(
+    x: F64, y: F64, i: int, j: int, tolerance_s: float, drift: float = MAX_DRIFT
+) -> list[tuple[int, int]]:
     """Return the pairs of moments that coincide where moment i of x is moment j of y.
 
     They are none where two moments of x have the same partner.
@@ -312,10 +321,11 @@ def pairs_at(x: F64, y: F64, i: int, j: int, tolerance_s: float) -> list[tuple[i
         i: Index into x.
         j: Index into y.
         tolerance_s: Largest distance of a pair, besides the drift [s].
+        drift: Largest relative rate of the clocks, less one.
     """
     expected = x - x[i] + y[j]
     nearest = _nearest(y, expected)
-    allowed = tolerance_s + MAX_DRIFT * np.abs(x - x[i])
+    allowed = tolerance_s + drift * np.abs(x - x[i])
     meets = np.flatnonzero(np.abs(y[nearest] - expected) <= allowed)
     partners = nearest[meets]
     if len(np.unique(partners)) < len(partners):
@@ -348,12 +358,15 @@ class ImpulsePair(NamedTuple):
     reference: Impulse
 
 
-def pair_impulses(camera: list[Impulse], reference: list[Impulse]) -> list[ImpulsePair]:
+def pair_impulses(
+    camera: list[Impulse], reference: list[Impulse], drift: float = MAX_DRIFT
+) -> list[ImpulsePair]:
     """Pair the impulses of both recordings; return the strong pairs in the order of time.
 
     Args:
         camera: Impulses in the events.
         reference: Impulses in the force.
+        drift: Largest relative rate of the clocks, less one.
 
     Raises:
         NoImpulseError: No two impulses agree, or only one of those that do is strong.
@@ -369,7 +382,7 @@ def pair_impulses(camera: list[Impulse], reference: list[Impulse]) -> list[Impul
         for name in ('time_s', 'strength')
     )
     weight = np.sqrt(np.outer(*(each / each.max(initial=1e-9) for each in strengths)))
-    found = coincidences(x, y, weight, tolerance_s=MATCH_S, fewest=2)
+    found = coincidences(x, y, weight, tolerance_s=MATCH_S, fewest=2, drift=drift)
     least = STRONG * max(weight[pair] for pair in found)
     pairs = [ImpulsePair(events[i], forces[j]) for i, j in found if weight[i, j] >= least]
     if len(pairs) < 2:
@@ -430,4 +443,4 @@ def paired_impulses(
     rate = counts.counts[: whole * bins].reshape(whole, bins).sum(axis=1).astype(np.float64)
     centres = np.arange(0.5, whole, dtype=np.float64) * bins * counts.width_us * 1e-6
     camera = prefer_isolated(find_bursts(counts, parameters), centres, rate)
-    return pair_impulses(camera, reference), start_s
+    return pair_impulses(camera, reference, 1e-6 * parameters.max_drift), start_s

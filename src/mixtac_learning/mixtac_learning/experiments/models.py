@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -23,9 +23,10 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_core.node.files import write_json
+from mixtac_core.node.files import replacing, write_json
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import Model as Weights
+from mixtac_fger.weights import read_model, write_model
 from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
     PRESET,
@@ -141,10 +142,13 @@ def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, Wei
 
 
 def _train(config: RunConfig) -> Weights:
-    """Train; an interrupted training continues."""
+    """Train, unless the weights are stored; an interrupted training continues."""
     torch.set_num_threads(1)
     folder = Path(config.data.cache).parent / 'runs' / joblib.hash((config, code_version()))
-    return train_model(config, folder).model
+    path = folder / 'model.safetensors'
+    if not path.exists():
+        write_model(path, train_model(config, folder).model)
+    return read_model(path)
 
 
 def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
@@ -179,17 +183,47 @@ def estimates(
         MixtacError: A trial cannot be used.
     """
     found: Estimates = {}
-    for result in context.run(f'{title}: testing', _judge, tests, stored=False):
+    stored = context.folder / 'estimates'
+    stored.mkdir(parents=True, exist_ok=True)
+    calls = [
+        (stored / f'{joblib.hash((code_version(), spec, models))}.npz', spec, models)
+        for spec, models in tests
+    ]
+    for result in context.run(f'{title}: testing', _judge, calls, stored=False):
         for (model, seed), estimate in result.items():
             found.setdefault(model, {}).setdefault(seed, []).append(estimate)
     return found
 
 
-def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialEstimate]:
-    """Estimate a trial, which is simulated once, with each model."""
-    torch.set_num_threads(1)
-    trial = SimulatedSource(spec).load()
-    return {case: trial_estimator(model)(trial) for case, model in models.items()}
+ESTIMATE_FIELDS = tuple(each.name for each in fields(TrialEstimate))
+
+
+def _judge(
+    path: Path, spec: TrialSpec, models: Mapping[Case, Weights]
+) -> dict[Case, TrialEstimate]:
+    """Estimate a trial, which is simulated once, with each model; the file keeps the estimates."""
+    if not path.exists():
+        torch.set_num_threads(1)
+        trial = SimulatedSource(spec).load()
+        arrays: dict[str, Any] = {}
+        for number, model in enumerate(models.values()):
+            estimate = trial_estimator(model)(trial)
+            for name in ESTIMATE_FIELDS:
+                if (value := getattr(estimate, name)) is not None:
+                    arrays[f'{number}.{name}'] = value
+        with replacing(path) as made:
+            np.savez(made, **arrays)
+    with np.load(path) as kept:
+        return {
+            case: TrialEstimate(
+                **{
+                    name: kept[key].item() if kept[key].ndim == 0 else kept[key]
+                    for name in ESTIMATE_FIELDS
+                    if (key := f'{number}.{name}') in kept
+                }
+            )
+            for number, case in enumerate(models)
+        }
 
 
 def profile_estimates(context: Context, profile: str) -> Estimates:

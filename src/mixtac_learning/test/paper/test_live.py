@@ -70,11 +70,10 @@ def test_forces_come_per_window_and_there_is_nothing_to_tare(weights, trial):
 
 
 @pytest.mark.dds
-def test_the_node_runs_the_papers_network(weights, node_under_test, fork_server):
+def test_the_node_runs_the_papers_network(weights, node_under_test):
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState
 
-    fork_server.load('mixtac_learning.paper.live')
     node_under_test.start('mixtac_fger.fger_node', f'model:={weights}')
     for wanted in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
         request = ChangeState.Request()

@@ -56,6 +56,7 @@ class UsbServer:
         try:
             Path(path).unlink(missing_ok=True)
             self._listener.bind(path)
+            self._inode = Path(path).stat().st_ino
             Path(path).chmod(0o600)
             self._listener.listen(_BACKLOG)
         except OSError as error:
@@ -79,7 +80,10 @@ class UsbServer:
                 each.shutdown(socket.SHUT_RDWR)
         self._thread.join(2.0)
         self._listener.close()
-        Path(self.path).unlink(missing_ok=True)
+        # Another sensor may have replaced the socket.
+        with contextlib.suppress(OSError):
+            if Path(self.path).stat().st_ino == self._inode:
+                Path(self.path).unlink()
 
     def _accept(self) -> None:
         while not self._closing.is_set():
