@@ -152,6 +152,8 @@ def usb_error(code: int) -> USBError:
 
 LONGEST_WAIT_S = 0.05
 """Longest wait for data [s]: a `stop` in another thread ends the wait within it."""
+LOOK_PERIOD_S = 0.005
+"""Time after which finished reads are fetched although others wait to be processed [s]."""
 DRAIN_TIMEOUT_S = 2.0
 """Longest wait for the kernel to return cancelled reads [s]."""
 
@@ -190,6 +192,7 @@ class AsynchronousReader:
         self._queued: set[BulkTransfer] = set()
         self._done: deque[tuple[BulkTransfer, Transfer]] = deque()
         self._failure: USBError | None = None
+        self._looked_s = 0.0
         self._stopped = False
         # After `stop` has set `_stopped` under this lock, no read is queued any more.
         self._submitting = threading.Lock()
@@ -243,9 +246,12 @@ class AsynchronousReader:
         Raises:
             UsbError: Reading failed, and all data received before were taken.
         """
-        if not self._done and not self._stopped and self._failure is None:
+        # With a backlog, too: the time at which a read is fetched is its time of arrival.
+        late = time.monotonic() > self._looked_s + LOOK_PERIOD_S
+        if (late or not self._done) and not self._stopped and self._failure is None:
+            self._looked_s = time.monotonic()
             try:
-                self._port.handle_events(min(timeout_s, LONGEST_WAIT_S))
+                self._port.handle_events(0.0 if self._done else min(timeout_s, LONGEST_WAIT_S))
             except USBError as error:
                 self._failure = error
         if self._done:
