@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mixtac_core.events.arrays import Events
+from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
@@ -222,7 +223,7 @@ def test_frames_that_nobody_fetches_do_not_pile_up():
 def test_a_defect_in_the_frame_thread_is_raised():
     estimator = ForceEstimator(Scripted(), background_frames=True)
     estimator.push_frame(np.zeros((0, 0), np.uint16), 0)
-    with pytest.raises(RuntimeError):
+    with pytest.raises(ModelError):
         estimator.drain()
     estimator.close()
 

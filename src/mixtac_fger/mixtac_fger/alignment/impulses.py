@@ -275,9 +275,11 @@ def coincidences(
         tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64)).tolist()
         likely = [(i, j) for i in tried for j in _likely(x, y, i, tolerance_s, drift)]
         found = [pairs_at(x, y, i, j, tolerance_s, drift) for i, j in likely]
-    scored = [(sum(weight[pair] for pair in pairs), pairs) for pairs in found]
+    # One strong pair counts less than several weak ones that agree.
+    enough = [pairs for pairs in found if len(pairs) >= fewest]
+    scored = [(sum(weight[pair] for pair in pairs), pairs) for pairs in enough]
     score, best = max(scored, key=lambda each: each[0], default=(0.0, []))
-    if len(best) < fewest:
+    if not best:
         raise NoImpulseError(
             f'{len(x)} impulses or edges from the camera and {len(y)} from the reference: {fewest}'
             ' with the same times between them are needed',
@@ -285,7 +287,7 @@ def coincidences(
             ' the end, or external_edges and reference_edges with the trigger line connected',
         )
     for other_score, other in scored:
-        if len(other) >= fewest and other_score > RIVAL * score and not set(other) & set(best):
+        if other_score > RIVAL * score and not set(other) & set(best):
             raise AmbiguousImpulsesError(
                 f'{len(best)} impulses or edges coincide in more than one way: leave other taps out'
                 ' and tap twice at one end, or send edges at unequal distances'

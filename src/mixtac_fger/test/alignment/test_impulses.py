@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from mixtac_fger.alignment.impulses import (
     Impulse,
+    coincidences,
     find_force_impulses,
     prefer_isolated,
     pressing_sign,
@@ -85,3 +86,11 @@ def test_pressing_is_positive_whatever_the_sign_of_the_sensor() -> None:
     force = np.array([0.1, 0.0, 0.1, 3.0, 0.1, -0.5])
     assert pressing_sign(force) == 1.0
     assert pressing_sign(-force) == -1.0
+
+
+def test_weak_taps_that_agree_count_more_than_one_strong_pair() -> None:
+    """Loads that fall are far stronger in the force than the taps, and make no burst."""
+    camera, reference = np.array([9.0, 38.0]), np.array([12.8, 31.3, 31.6, 41.8])
+    weight = np.outer([1.0, 0.8], [0.17, 1.0, 0.5, 0.19])
+    found = coincidences(camera, reference, weight, tolerance_s=0.02, fewest=2)
+    assert found == [(0, 0), (1, 3)]
