@@ -65,7 +65,7 @@ class ContactOutputs:
 
         Args:
             estimator: Gave the estimates.
-            estimates: Of the latest windows, at least one.
+            estimates: Estimates of the latest windows; at least one.
             settings: Parameters of the node.
             found_by: How contacts are found.
         """

@@ -114,7 +114,7 @@ class PaperEstimator(Estimator):
 
     @torch.inference_mode()
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
-        """Advance by one window; returns the force [N] and no standard deviation."""
+        """Advance by one window; return the force [N], and None for the standard deviation."""
         network, state = self._network, self._state
         frame, self._frame = self._frame, None
         if isinstance(network, (FgerPaper, EventsOnly)):

@@ -123,7 +123,7 @@ def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) ->
     """Return what the driver decodes from the camera's words, with its default settings.
 
     Args:
-        readings: Measurements of the unit.
+        readings: Measurements of the inertial unit.
         camera_us: Times of the readings [n] [us, camera clock].
     """
     settings = ImuSettings()
