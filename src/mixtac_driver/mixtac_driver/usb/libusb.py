@@ -7,10 +7,12 @@ pyusb knows libusb's structures but waits for one transfer at a time
 only a few milliseconds of data at full rate, and a Python process can be busy for longer. Meanwhile
 the kernel fills the queued reads: 128 reads of 64 KiB hold 8 MiB, more than 100 ms at the sensor's
 highest rate of about 65 MB/s. Where the camera sends early, in short packets, each of them takes up
-a read: 128 reads then hold 26 ms at a packet every 200 us. There is no reader thread: the consumer collects what has arrived
-whenever it asks, because waking a thread for every transfer would cost more than the transfer
-itself. A read is queued again once the consumer has its data: where the consumer is too slow, all
-reads are full, and the camera itself drops and counts events.
+a read: 128 reads then hold 26 ms at a packet every 200 us.
+
+There is no reader thread: the consumer collects what has arrived whenever it asks, because waking a
+thread for every transfer would cost more than the transfer itself. A read is queued again once the
+consumer has its data: where the consumer is too slow, all reads are full, and the camera itself
+drops and counts events.
 """
 
 from __future__ import annotations
