@@ -82,7 +82,7 @@ def align_bag(
 
     Args:
         bag: Folder of the bag.
-        name: Name of the copy; empty for that of the bag.
+        name: Name of the copy; empty to keep the name of the bag.
         method: As in `align.align`.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics, with its leading slash.

@@ -250,7 +250,7 @@ def calibrate(console: Console, content: Model, session: Session, entry: dict[st
     normal = fit_gain(session.loads, session.plateaus)
     entry |= _entry(normal)
     _report(console, 'Known loads', entry)
-    # Deviations become those of a known gain once.
+    # The gain is known from now on, so the deviations shrink, once.
     once = CALIBRATED_KEY not in content.card.training
     scaled = with_gain(content, normal.gain, CALIBRATED_DEVIATION if once else 1.0)
     if session.pulls:

@@ -400,7 +400,8 @@ class FgerEstimator(Estimator):
         light = self._window_features.compute(events, self._guide, self._features)
         path, vibration = self.path, self._vibration
         vibrated = vibration.active
-        increment = path.step(self._no_events if light else self._features)
+        features = self._no_events if light else self._features
+        increment = path.step(features)
         if vibrated:
             # Frames lead the mean, and correct the path no more.
             path.confirm()
@@ -421,7 +422,7 @@ class FgerEstimator(Estimator):
             if not vibration.active:
                 path.shift(vibration.end())
         if self._shear is not None:
-            self._shear.step(self._no_events if light else self._features)
+            self._shear.step(features)
         if self._pending_n:
             self._follow(math.inf if deviation is None else SPREAD_DEVIATIONS * deviation)
         before, self._output = self._output, force - self._pending_n

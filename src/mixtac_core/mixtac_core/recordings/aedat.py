@@ -80,7 +80,7 @@ def open_aedat2(
     Args:
         path: The file.
         selection: `NONE` for events is refused: there is nothing else to read.
-        size: Width and height of the sensor; None for those of the chip that the header names.
+        size: Width and height of the sensor; None for the size of the chip that the header names.
 
     Raises:
         RecordingError: It holds no events, or the size is not known.
