@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 FORCE = '#e07b00'  # colours, by what is drawn
 REFERENCE = '#1f4e8c'
 EVENTS = '#5a5a5a'
-MARK = '#c0392b'
 DPI = 110
 
 

@@ -9,10 +9,10 @@ from typing import Annotated, List, Optional  # noqa: UP035
 
 import typer
 
-from mixtac_core.node.files import writable
+from mixtac_core.node.files import writable, write_json
 from mixtac_core.node.topics import REFERENCE
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
-from mixtac_learning.train.config import find_run_config, read_run_config, with_overrides
+from mixtac_learning.train.config import read_run_config, with_overrides
 from mixtac_sim.world.plans import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
@@ -73,8 +73,8 @@ def train(
     """
     from mixtac_learning.train.run import run_training
 
-    chosen = read_run_config(find_run_config(config))
-    run_training(with_overrides(chosen, out, seed, data, bags or (), start), folder, jobs, json)
+    chosen = with_overrides(read_run_config(config), out, seed, data, bags or (), start)
+    run_training(chosen, folder, jobs, json)
 
 
 def evaluate(
@@ -103,17 +103,21 @@ def evaluate(
     json: JsonFile = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
-    from mixtac_learning.judge.report import run_evaluation
+    from mixtac_learning.judge import report
 
-    run_evaluation(
-        find_model(model),
-        bags or (),
-        reference=reference,
-        gels=gels,
-        seconds=seconds,
-        seed=seed,
-        preset=preset,
-        figures=figures,
-        json=json,
-        series=series,
-    )
+    path = find_model(model)
+    if bags:
+        judged, content = report.judge_bags(path, bags, reference)
+    else:
+        judged, content = report.judge_unseen(path, gels, seconds, seed, preset)
+    content |= {'model': str(path), 'skipped': judged.skipped}
+    title = f'{path.name} on {len(judged.estimates)} {"bags" if bags else "simulated trials"}'
+    report.show_figures(title, *content['metrics'].values())
+    report.show_skipped(judged.skipped)
+    if figures is not None:
+        report.draw_trials(figures, title, judged.estimates)
+        print(f'drawn: {figures}')
+    if series is not None:
+        report.write_series(series, judged.estimates)
+        print(f'written: {series}')
+    write_json(json, content)

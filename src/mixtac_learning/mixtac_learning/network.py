@@ -238,18 +238,12 @@ class FgerNetwork(nn.Module):
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
         self.correction = perceptron(1 + config.feature_size, config.mlp_size)
-        self.context = (
-            nn.Linear(config.feature_size, config.mlp_size, bias=False)
-            if config.frame_context
-            else None
-        )
+        if config.frame_context:
+            self.context = nn.Linear(config.feature_size, config.mlp_size, bias=False)
         if config.shear:
             self.shear = ShearHead(config)
-        self.deviation = (
-            DeviationHead(config.lstm_size, config.deviation_size)
-            if config.deviation_size
-            else None
-        )
+        if config.deviation_size:
+            self.deviation = DeviationHead(config.lstm_size, config.deviation_size)
 
     def initial_state(self, sequences: int) -> SequenceState:
         """Return the state before the first window: no force, empty memory."""
@@ -281,7 +275,7 @@ class FgerNetwork(nn.Module):
         features = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
         latest = slots.latest()[..., None].expand(-1, -1, features.shape[-1])
         seen = features.gather(0, latest)
-        if self.context is not None:
+        if self.config.frame_context:
             direct = direct + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.

@@ -9,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from mixtac_fger.config import (
     MOMENTS,
     FgerConfig,
     count_parameters,
-    map_shapes,
     operations_per_cycle,
     tensor_shapes,
 )
@@ -114,18 +112,6 @@ def test_features_and_force_are_those_of_torch(name):
         assert np.ptp(expected.numpy()) > 0.03
         assert feature == pytest.approx(expected[0].numpy(), abs=1e-5)
         assert force == pytest.approx(float(expected_force[0]), abs=1e-5)
-
-
-def test_shapes_are_those_of_torch():
-    config = CONFIGS['odd sizes']
-    network = FrameNetwork(config)
-    maps = torch.zeros(1, len(config.frame_channels), *config.frame_shape)
-    shapes = [tuple(maps.shape[i] for i in (2, 3, 1))]
-    for layer in network.convolutions:
-        maps = layer(maps)
-        if isinstance(layer, nn.Conv2d):
-            shapes.append(tuple(maps.shape[i] for i in (2, 3, 1)))
-    assert map_shapes(config) == shapes
 
 
 MOST_PARAMETERS = 50_000

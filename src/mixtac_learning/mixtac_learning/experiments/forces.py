@@ -28,7 +28,7 @@ from mixtac_learning.experiments.models import (
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import peak_error
-from mixtac_learning.judge.report import PAPER, TRUTH, new_axes, plot_forces, save_figure
+from mixtac_learning.judge.report import PAPER, TRUTH, new_axes, save_figure
 from mixtac_learning.train.config import OURS
 
 STABILITY_PAPER = (0.08, 0.07, 0.07, 0.07, 0.06)
@@ -67,11 +67,8 @@ ROLLING_S = 0.5
 
 def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     """Return the centred mean over `width` samples, of fewer at the ends, [T]."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    index = np.arange(len(values))
-    low = np.maximum(index - width // 2, 0)
-    high = np.minimum(index - width // 2 + width, len(values))
-    return np.asarray((total[high] - total[low]) / (high - low))
+    sums, counts = (np.convolve(v, np.ones(width), 'same') for v in (values, np.ones_like(values)))
+    return np.asarray(sums / counts)
 
 
 def rolling_bins(estimate: TrialEstimate) -> Bins:
@@ -135,21 +132,39 @@ def inputs(context: Context) -> Outcome:
         rows += error_rows(name, by_seed, INPUTS_PAPER[model], INPUTS_PLACE, 'dynamic trials')
         rate = Value.of(rate_hz(trials) for trials in by_seed.values())
         rows.append(Row(f'{name}: rate', rate, paper_hz, INPUTS_PLACE, 'Hz', text))
-    path = _draw_inputs(context.figure('inputs'), found)
+    times = found[OURS][0][0].t_us
+    start_us, path = times[0] + 0.3 * (times[-1] - times[0]), context.figure('inputs')
+    pairs = ('frames', 'events'), ('fger', OURS)
+    _draw_forces(path, found, start_us, [(pair, (0.0, SHOWN_S)) for pair in pairs])
     return force_outcome(context, 'dynamic', 'inputs', found, rows, path)
 
 
-def _draw_inputs(path: Path, found: Estimates) -> Path:
-    figure, axes = new_axes(rows=2, width=9.0, height=6.0)
+def _draw_forces(
+    path: Path,
+    found: Estimates,
+    origin_us: float,
+    panels: Sequence[tuple[Sequence[str], tuple[float, float]]],
+) -> None:
+    """Draw the first trial of the first seed.
+
+    Args:
+        path: Picture to write.
+        found: Estimates.
+        origin_us: Time zero of the panels, camera clock [us].
+        panels: Models and span of time [s] of each panel.
+    """
+    figure, axes = new_axes(rows=len(panels), width=9.0, height=3.0 * len(panels))
     first = found[OURS][0][0]
-    start = first.t_us[0] + 0.3 * (first.t_us[-1] - first.t_us[0])
-    length = min(SHOWN_S, 1e-6 * float(first.t_us[-1] - start))
-    for ax, models in zip(axes, (('frames', 'events'), ('fger', OURS)), strict=True):
-        curves = {MODELS[model]: found[model][0][0] for model in models}
-        plot_forces(ax, first, curves, start, (0.0, length))
-        ax.set(xlabel='time [s]', ylabel='normal force [N]', title=f'{first.name}, simulated')
+    for ax, (models, span_s) in zip(axes, panels, strict=True):
+        curves = [(first.t_us, first.known, 'true force', TRUTH)]
+        for name in models:
+            each = found[name][0][0]
+            curves.append((each.t_us, each.force, *MODELS[name]))
+        for t_us, force, label, colour in curves:
+            ax.plot(1e-6 * (t_us - origin_us), force, color=colour, label=label, lw=1.2)
+        ax.set(xlim=span_s, xlabel='time [s]', ylabel='force [N]', title=f'{first.name}, simulated')
         ax.legend(loc='upper right', ncols=3, fontsize=8)
-    return save_figure(figure, path)
+    save_figure(figure, path)
 
 
 _FGER_PAPER = {'mae': 0.04, 'rmse': 0.05, 'r2': 0.83}
@@ -209,20 +224,8 @@ def impact(context: Context) -> Outcome:
             for trials in by_seed.values()
         )
         rows.append(Row(f'{name}: error of the peak', peaks, None, '', '', text))
-    path = _draw_impact(context.figure('impact'), found)
-    return force_outcome(context, 'impact', 'impact', found, rows, path)
-
-
-def _draw_impact(path: Path, found: Estimates) -> Path:
-    figure, axes = new_axes(columns=2, width=10.0, height=3.8)
-    first = found[OURS][0][0]
+    first, path = found[OURS][0][0], context.figure('impact')
     # The synchronising taps reach 2 N at most; the impact is the largest force.
     onset = first.t_us[int(np.argmax(first.known))]
-    curves = {MODELS[model]: by_seed[0][0] for model, by_seed in found.items()}
-    for ax, span in zip(axes, (WHOLE_S, CLOSE_S), strict=True):
-        plot_forces(ax, first, curves, onset, span)
-        ax.set(xlabel='time from the peak [s]')
-        ax.set_title(f'{first.name}, simulated', fontsize=9)
-    axes[0].set(ylabel='normal force [N]')
-    axes[1].legend(frameon=False, fontsize=8)
-    return save_figure(figure, path)
+    _draw_forces(path, found, onset, [(tuple(found), span) for span in (WHOLE_S, CLOSE_S)])
+    return force_outcome(context, 'impact', 'impact', found, rows, path)

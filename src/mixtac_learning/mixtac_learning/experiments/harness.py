@@ -27,6 +27,7 @@ import joblib
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mixtac_core.events.errors import MixtacError
@@ -34,7 +35,6 @@ from mixtac_core.node.files import read_data, structure, write_json, write_text
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.commands import JsonFile, OptionalPath
 from mixtac_learning.experiments import EXPERIMENTS
-from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig
 from mixtac_sim.world.plans import simulator_digest
 
@@ -94,8 +94,6 @@ def _sizes(table: str) -> dict[str, Sizes]:
 
 PAPER_SIZES = _sizes('paper')
 """Sizes of the experiments of the paper."""
-FULL = PAPER_SIZES['full']
-QUICK = PAPER_SIZES['quick']
 TABLE_SIZES = _sizes('table')
 """Sizes of the table of all models (`mixtac experiments models --size`)."""
 VARIANTS: dict[str, dict[str, Any]] = _TABLES['variants']
@@ -148,9 +146,6 @@ def _call(path: Path | None, function: Callable[..., T], *arguments: Any) -> T: 
     result = function(*arguments)
     write_json(path, result)
     return result
-
-
-HEADINGS = ('what', 'ours', 'paper', 'unit')
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,12 +209,6 @@ class Row:
     conditions: str
     simulated: bool = True
 
-    @property
-    def cells(self) -> tuple[str, str, str, str]:
-        """The row as text, by `HEADINGS`."""
-        paper = '' if self.paper is None else number(self.paper)
-        return self.name, str(self.ours), paper, self.unit
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -256,14 +245,14 @@ def texts(name: str) -> dict[str, Any]:
 
     Experiments that draw the forces of models also have a `caption` of their figure.
     """
-    found: dict[str, Any] = read_data(Path(__file__).with_name('texts.yaml'))[name]
+    found: dict[str, Any] = read_data(_PATH.with_name('texts.yaml'))[name]
     return {'name': name, **found, 'deviations': tuple(found['deviations'])}
 
 
 def write_report(
     folder: Path, outcomes: Sequence[Outcome], run: dict[str, Any], json: Path | None = None
-) -> None:
-    """Write `report.md` and `report.json`.
+) -> str:
+    """Write `report.md` and `report.json`; return the text of `report.md`.
 
     Args:
         folder: Folder of the report.
@@ -278,31 +267,21 @@ def write_report(
     lines: list[str] = []
     for outcome in outcomes:
         lines += [f'### {outcome.title}', '', f'{outcome.data}.', '']
-        lines += [f'| {" | ".join(HEADINGS)} |', '|---|---:|---:|---|']
-        lines += [*(f'| {" | ".join(row.cells)} |' for row in outcome.rows), '']
-    write_text(folder / 'report.md', '\n'.join(lines))
-
-
-def show_report(console: Console, outcomes: Sequence[Outcome]) -> None:
-    """Print the rows of all outcomes as tables."""
-    for outcome in outcomes:
-        rows = [
-            (
-                f'{row.name}, simulated' if row.simulated and row.ours.count else row.name,
-                *row.cells[1:],
-            )
-            for row in outcome.rows
-        ]
-        console.print(make_table(f'{outcome.title}: {outcome.data}', HEADINGS, rows))
+        lines += ['| what | ours | paper | unit |', '|---|---:|---:|---|']
+        for row in outcome.rows:
+            paper = '' if row.paper is None else number(row.paper)
+            lines.append(f'| {row.name} | {row.ours} | {paper} | {row.unit} |')
+        lines.append('')
+    text = '\n'.join(lines)
+    write_text(folder / 'report.md', text)
+    return text
 
 
 def number(value: float) -> str:
     """Return a number with three significant digits, large ones in groups; `-` for NaN."""
     if not math.isfinite(value):
         return '-'
-    if abs(value) >= 1e6:
-        return f'{value:.3g}' if abs(value) >= 1e8 else f'{value:,.0f}'
-    if abs(value) >= 1000 or value == round(value):
+    if abs(value) < 1e8 and (abs(value) >= 1000 or value == round(value)):
         return f'{value:,.0f}'
     return f'{value:.3g}'
 
@@ -312,7 +291,7 @@ OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 ALL = 'all'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Context:
     """A run of experiments.
 
@@ -359,19 +338,17 @@ class Context:
             joblib.delayed(_call)(pieces / f'{key}.json' if stored else None, function, *case)
             for key, case in zip(keys, cases, strict=True)
         ]
-        results = []
         # Processes share the cores, so each gets one thread.
-        with joblib.parallel_config(
-            'loky', n_jobs=min(self.jobs, len(cases)) or 1, inner_max_num_threads=1
-        ):
-            for result in joblib.Parallel(return_as='generator', batch_size=1)(calls):
-                results.append(result)
-                self.progress.advance(bar)
-        return results
+        jobs = min(self.jobs, len(cases)) or 1
+        with joblib.parallel_config('loky', n_jobs=jobs, inner_max_num_threads=1):
+            found = joblib.Parallel(return_as='generator', batch_size=1)(calls)
+            return [*self.progress.track(found, task_id=bar)]
 
 
-def command(name: str, text: str) -> Callable[..., None]:
+def command(name: str, text: str) -> Callable[..., list[Outcome]]:
     """Return the command that runs an experiment, or all for the name `all`.
+
+    It writes the report and returns the results. Finished pieces stay stored where one fails.
 
     Args:
         name: Name of the experiment.
@@ -392,8 +369,34 @@ def command(name: str, text: str) -> Callable[..., None]:
             int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
         ] = 0,
         jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 0,
-    ) -> None:
-        run_experiments([name, *(more or [])], quick, json, out, seeds, jobs)
+    ) -> list[Outcome]:
+        chosen = select([name, *(more or [])])
+        size, console = PAPER_SIZES['quick' if quick else 'full'], Console(markup=False)
+        folder = out or Path('runs') / f'experiments_{size.name}'
+        seeds, jobs = seeds or (1 if quick else 3), jobs or os.cpu_count() or 1
+        started = time.monotonic()
+        columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+            context = Context(size, folder, seeds, jobs, progress)
+            outcomes = [each(context) for each in chosen.values()]
+        options = ['--quick'] * quick + [f'--seeds {seeds}', f'--out {folder.name}']
+        minutes = (time.monotonic() - started) / 60
+        python = platform.python_version()
+        description = {
+            'command': ' '.join(['./mixtac experiments', *chosen, *options]),
+            'experiments': ', '.join(chosen),
+            'sizes': size.name,
+            'seeds': seeds,
+            'processes': jobs,
+            'data': 'virtual sensor (simulated)',
+            'simulator': simulator_digest(),
+            'machine': f'{os.cpu_count()} cores, {platform.machine()}, Python {python}',
+            'minutes': f'{minutes:.1f}, without results that were stored before',
+            'date': f'{dt.datetime.now(dt.timezone.utc):%Y-%m-%d}',
+        }
+        console.print(Markdown(write_report(folder, outcomes, description, json)))
+        console.print(f'report: {folder / "report.md"}')
+        return outcomes
 
     run.__name__, run.__doc__ = name, text
     return run
@@ -402,7 +405,7 @@ def command(name: str, text: str) -> Callable[..., None]:
 all_experiments = command(ALL, 'Run all experiments of the paper.')
 
 
-def experiment(function: Callable[[Context], Outcome]) -> Callable[..., None]:
+def experiment(function: Callable[[Context], Outcome]) -> Callable[..., list[Outcome]]:
     """Make a function `Context -> Outcome` a command; its docstring is the help."""
     made = command(function.__name__, str(function.__doc__))
     made.run = function  # type: ignore[attr-defined]
@@ -429,53 +432,3 @@ def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
             module, _, function = place.partition(':')
             found[name] = getattr(importlib.import_module(module), function).run
     return found
-
-
-def run_experiments(
-    names: Sequence[str],
-    quick: bool = False,
-    json: Path | None = None,
-    out: Path | None = None,
-    seeds: int = 0,
-    jobs: int = 0,
-) -> list[Outcome]:
-    """Run experiments and write the report.
-
-    Args:
-        names: Names of experiments, or `all`.
-        quick: Use the sizes that need minutes only.
-        json: Another file for the results.
-        out: Folder of the report; None for one below `runs`.
-        seeds: Number of seeds; 0 for the default.
-        jobs: Number of processes; 0 for one per core.
-
-    Raises:
-        MixtacError: An experiment does not exist, or failed; finished pieces stay stored.
-    """
-    chosen, size, console = select(names), QUICK if quick else FULL, Console(markup=False)
-    folder = out or Path('runs') / f'experiments_{size.name}'
-    seeds, jobs = seeds or (1 if quick else 3), jobs or os.cpu_count() or 1
-    started = time.monotonic()
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        context = Context(size, folder, seeds, jobs, progress)
-        outcomes = [run(context) for run in chosen.values()]
-    options = ['--quick'] * quick + [f'--seeds {seeds}', f'--out {folder.name}']
-    minutes = (time.monotonic() - started) / 60
-    description = {
-        'command': ' '.join(['./mixtac experiments', *chosen, *options]),
-        'experiments': ', '.join(chosen),
-        'sizes': size.name,
-        'seeds': seeds,
-        'processes': jobs,
-        'data': 'virtual sensor (simulated)',
-        'simulator': simulator_digest(),
-        'machine': f'{os.cpu_count()} cores, {platform.machine()}, Python '
-        f'{platform.python_version()}',
-        'minutes': f'{minutes:.1f}, without results that were stored before',
-        'date': f'{dt.datetime.now(dt.timezone.utc):%Y-%m-%d}',
-    }
-    write_report(folder, outcomes, description, json)
-    show_report(console, outcomes)
-    console.print(f'report: {folder / "report.md"}')
-    return outcomes

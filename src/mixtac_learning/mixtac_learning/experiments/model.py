@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+import timeit
 from collections.abc import Callable
 from typing import Any
 
@@ -105,17 +106,11 @@ def paper_rows() -> list[Row]:
 def our_rows(seconds: float) -> list[Row]:
     """Return size and speed of the shipped model, timed on a trial of a length [s]."""
     found = FgerEstimator(read_model(find_model(DEFAULT_MODEL)))
-    name = MODELS[OURS].label
+    name, operations, flops = MODELS[OURS].label, _one(found.operations), '2 per multiply-add'
     window_ms, frame_ms = step_times_ms(seconds)
     rows = [
         _row(f'{name}: parameters', _one(found.parameters), '', 'counted', PARAMETERS),
-        _row(
-            f'{name}: operations per frame interval',
-            _one(found.operations),
-            'FLOP',
-            '2 per multiply-add',
-            FLOPS,
-        ),
+        _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
     ]
     for step, times, paper in (('window', window_ms, LATENCY_MS), ('frame', frame_ms, None)):
         text = f'this CPU, one thread, {len(times)} {step}s'
@@ -169,17 +164,11 @@ def _timed(call: Callable[[], object], network: PaperNetwork) -> Value:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     network.eval()
-    durations = []
-    try:
-        with torch.no_grad():
-            call()
-            for _ in range(REPETITIONS):
-                start = time.perf_counter()
-                call()
-                durations.append(1e3 * (time.perf_counter() - start))
-    finally:
-        torch.set_num_threads(threads)
-    return Value.of(durations, 'repetitions')
+    with torch.no_grad():
+        call()
+        durations_s = timeit.repeat(call, number=1, repeat=REPETITIONS)
+    torch.set_num_threads(threads)
+    return Value.of((1e3 * each for each in durations_s), 'repetitions')
 
 
 OTHERS = (

@@ -3,8 +3,8 @@
 """Train models, run them on simulated test trials, and the tables of all models.
 
 Every force experiment calls `force_outcome`: each model is trained once per seed and runs on the
-test trials of one force profile. Weights and estimates are stored, and all experiments of a run
-share them. In the tables, the protocol `paper` splits the trials of one session at random; with
+test trials of one force profile. Weights are stored, and all experiments of a run share weights and
+estimates. In the tables, the protocol `paper` splits the trials of one session at random; with
 `other_days`, the test trials are from other days of the same sensor.
 """
 
@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -23,7 +24,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_core.node.files import replacing, write_json
+from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import Model as Weights
 from mixtac_fger.weights import read_model, write_model
@@ -47,7 +48,7 @@ from mixtac_learning.judge.metrics import by_profile, measure
 from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
-from mixtac_learning.trials.samples import Recipe, prepare
+from mixtac_learning.trials.samples import prepare
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.world.plans import TrialSpec, session_plan, training_plan
 
@@ -154,19 +155,15 @@ def _train(config: RunConfig) -> Weights:
 def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
     """Prepare the samples before trainings run side by side, which would prepare them twice."""
     sources = {s.name: s for config in configs for s in training_sources(config.data)}
-    recipes: dict[str, Recipe] = {}
-    for config in configs:
-        recipe = recipe_of(config)
-        recipes[repr(recipe.facts)] = recipe
-    if sources:
-        bar = context.progress.add_task('preparing samples', total=len(sources))
-        prepare(
-            [*sources.values()],
-            [*recipes.values()],
-            context.folder / 'samples',
-            context.jobs,
-            lambda done: context.progress.update(bar, completed=done),
-        )
+    recipes = {repr(recipe.facts): recipe for recipe in map(recipe_of, configs)}
+    bar = context.progress.add_task('preparing samples', total=len(sources))
+    prepare(
+        [*sources.values()],
+        [*recipes.values()],
+        context.folder / 'samples',
+        context.jobs,
+        lambda done: context.progress.update(bar, completed=done),
+    )
 
 
 def estimates(
@@ -183,49 +180,20 @@ def estimates(
         MixtacError: A trial cannot be used.
     """
     found: Estimates = {}
-    stored = context.folder / 'estimates'
-    stored.mkdir(parents=True, exist_ok=True)
-    calls = [
-        (stored / f'{joblib.hash((code_version(), spec, models))}.npz', spec, models)
-        for spec, models in tests
-    ]
-    for result in context.run(f'{title}: testing', _judge, calls, stored=False):
+    for result in context.run(f'{title}: testing', _judge, tests, stored=False):
         for (model, seed), estimate in result.items():
             found.setdefault(model, {}).setdefault(seed, []).append(estimate)
     return found
 
 
-ESTIMATE_FIELDS = tuple(each.name for each in fields(TrialEstimate))
+def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialEstimate]:
+    """Estimate a trial, which is simulated once, with each model."""
+    torch.set_num_threads(1)
+    trial = SimulatedSource(spec).load()
+    return {case: trial_estimator(model)(trial) for case, model in models.items()}
 
 
-def _judge(
-    path: Path, spec: TrialSpec, models: Mapping[Case, Weights]
-) -> dict[Case, TrialEstimate]:
-    """Estimate a trial, which is simulated once, with each model; the file keeps the estimates."""
-    if not path.exists():
-        torch.set_num_threads(1)
-        trial = SimulatedSource(spec).load()
-        arrays: dict[str, Any] = {}
-        for number, model in enumerate(models.values()):
-            estimate = trial_estimator(model)(trial)
-            for name in ESTIMATE_FIELDS:
-                if (value := getattr(estimate, name)) is not None:
-                    arrays[f'{number}.{name}'] = value
-        with replacing(path) as made:
-            np.savez(made, **arrays)
-    with np.load(path) as kept:
-        return {
-            case: TrialEstimate(
-                **{
-                    name: kept[key].item() if kept[key].ndim == 0 else kept[key]
-                    for name in ESTIMATE_FIELDS
-                    if (key := f'{number}.{name}') in kept
-                }
-            )
-            for number, case in enumerate(models)
-        }
-
-
+@cache
 def profile_estimates(context: Context, profile: str) -> Estimates:
     """Return the estimates of the models of a profile on its test trials; trains what is missing.
 
@@ -375,20 +343,17 @@ def aggregate(found: Estimates, cost: Mapping[str, list[float]]) -> dict[str, An
     """
     table: dict[str, Any] = {}
     for model, by_seed in found.items():
-        runs = [by_profile(trials) for trials in by_seed.values()]
-        columns: dict[str, list[dict[str, Any]]] = {
-            column: [run[column] for run in runs] for column in runs[0]
-        }
-        columns[TRAINING] = [{COST: each} for each in cost[model]]
-        table[model] = {column: {} for column in columns}
-        for column, figures in columns.items():
+        runs = [
+            by_profile(trials) | {TRAINING: {COST: minutes}}
+            for trials, minutes in zip(by_seed.values(), cost[model], strict=True)
+        ]
+        table[model] = {column: {} for column in runs[0]}
+        for column, figures in table[model].items():
             for figure in FIGURES:
-                each = [row[figure] for row in figures if figure in row]
-                if each:
-                    value = Value.of(each)
+                value = Value.of(run[column][figure] for run in runs if figure in run[column])
+                if value.count:
                     mean, spread = round(value.mean, 4), round(value.spread, 4)
-                    cell = {'mean': mean, 'spread': spread, 'seeds': len(each)}
-                    table[model][column][figure] = cell
+                    figures[figure] = {'mean': mean, 'spread': spread, 'seeds': value.count}
     return table
 
 

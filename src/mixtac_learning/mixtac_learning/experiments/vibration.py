@@ -69,13 +69,13 @@ _FINER = 8
 Shaken = tuple[Events, NDArray[np.uint16]]
 
 
-def shake(kind: str, tone_hz: float, size_mm: float, seed: int) -> Shaken:
+def shake(kind: str, size_mm: float, tone_hz: float, seed: int) -> Shaken:
     """Return events of a vibration of the simulated sensor [us], and a frame from before it [DN].
 
     Args:
         kind: `PRESSED` or `TAPPING`.
-        tone_hz: Frequency [Hz].
         size_mm: Amplitude, or depth of the indentation; see `SIZES_MM` [mm].
+        tone_hz: Frequency [Hz].
         seed: Seed of the sensor and of the day.
     """
     middle, amplitude = DEPTH_MM, size_mm
@@ -174,34 +174,29 @@ Found = tuple[float, dict[str, Any]]
 def vibration(context: Context) -> Outcome:
     """Tones of 50 to 450 Hz: frequency measured from events."""
     sizes = context.sizes
-    cases = [
-        (kind, tone, size, FIRST_SEED + seed)
+    seeds = range(FIRST_SEED, FIRST_SEED + context.seeds)
+    fast = {PRESSED: sizes.fast_tones_hz}
+    spans = [
+        (kind, size, tones)
         for kind, both in SIZES_MM.items()
         for size in both
-        for tone in sizes.tones_hz + (sizes.fast_tones_hz if kind == PRESSED else ())
-        for seed in range(context.seeds)
+        for tones in filter(None, (sizes.tones_hz, fast.get(kind)))
     ]
-    found: dict[tuple[str, float], list[list[Found]]] = {}
-    for (kind, tone, size, seed), result in zip(
-        cases, context.run('vibration', _shaken_spectra, cases), strict=True
-    ):
-        by_seed = found.setdefault((kind, size), [[] for _ in range(context.seeds)])
-        by_seed[seed - FIRST_SEED].append((tone, result))
+    cases = [(*span[:2], tone, seed) for span in spans for tone in span[2] for seed in seeds]
+    found = dict(zip(cases, context.run('vibration', _shaken_spectra, cases), strict=True))
     rows: list[Row] = []
-    for (kind, size), by_seed in found.items():
-        for signal in SIGNALS:
-            rows += _rows(kind, size, signal, by_seed, sizes.tones_hz)
-        if kind == PRESSED and sizes.fast_tones_hz:
-            rows += _rows(kind, size, FLOW, by_seed, sizes.fast_tones_hz)
+    for kind, size, tones in spans:
+        by_seed = [[(tone, found[kind, size, tone, seed]) for tone in tones] for seed in seeds]
+        for signal in SIGNALS if tones == sizes.tones_hz else (FLOW,):
+            rows += _rows(kind, size, signal, by_seed)
     panels = {
-        f'{kind}, {1e3 * size:g} um:\n{SIGNALS[signal]}': [
-            (tone, each[signal])
-            for by_seed in found[kind, size]
-            for tone, each in by_seed
-            if signal == FLOW or tone <= sizes.tones_hz[-1]
+        f'{kind}, {1e3 * SIZES_MM[kind][0]:g} um:\n{SIGNALS[signal]}': [
+            (tone, result[signal])
+            for (own, size, tone, _), result in found.items()
+            if (own, size) == (kind, SIZES_MM[kind][0])
+            and (signal == FLOW or tone in sizes.tones_hz)
         ]
         for kind, signal in ((TAPPING, COUNT), (PRESSED, COUNT), (PRESSED, FLOW))
-        for size in SIZES_MM[kind][:1]
     }
     path = _draw(context.figure('vibration'), panels)
     return Outcome(
@@ -218,17 +213,11 @@ def _shaken_spectra(*case: Any) -> dict[str, Any]:  # noqa: ANN401
     return spectra(*shake(*case))
 
 
-def _rows(
-    kind: str,
-    size_mm: float,
-    signal: str,
-    by_seed: Sequence[Sequence[Found]],
-    tones: Sequence[float],
-) -> list[Row]:
+def _rows(kind: str, size_mm: float, signal: str, by_seed: Sequence[Sequence[Found]]) -> list[Row]:
     """Return the share of tones found within 1 Hz, and the largest error."""
+    tones = [tone for tone, _ in by_seed[0]]
     errors = [
-        [abs(found[signal]['dominant_hz'] - tone) for tone, found in each if tone in tones]
-        for each in by_seed
+        [abs(found[signal]['dominant_hz'] - tone) for tone, found in each] for each in by_seed
     ]
     shares = Value.of(float(np.mean(np.array(each) <= TOLERANCE_HZ)) for each in errors)
     span = f'{min(tones):g} to {max(tones):g} Hz'

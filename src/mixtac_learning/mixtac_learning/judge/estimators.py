@@ -4,36 +4,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import open_estimator
-from mixtac_fger.fger_net import (
-    CALIBRATED_DEVIATION,
-    REST_DEVIATION,
-    SLOPE_WINDOWS,
-    STEEPEST_N,
-    TIMING_WINDOWS,
-)
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.network import usual_device
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample, run_samples
+from mixtac_learning.trials.bags import TrialSource
 from mixtac_learning.trials.trial import (
     DatasetError,
     TrialArrays,
-    TrialSource,
     camera_end_us,
     camera_start_us,
     sensor_of,
@@ -78,26 +69,6 @@ class TrialEstimate:
         """Time between estimates [s]."""
         steps = np.diff(self.t_us)
         return 1e-6 * float(np.median(steps)) if len(steps) else 0.002
-
-    def scaled(self, scale: float) -> TrialEstimate:
-        """Return the estimate of a sensor that was calibrated to this scale."""
-        frames = None if self.frames_only is None else scale * self.frames_only
-        deviation = None if self.deviation is None else scale * self._calibrated(self.deviation)
-        across = None if self.across is None else scale * self.across
-        return replace(
-            self, force=scale * self.force, frames_only=frames, deviation=deviation, across=across
-        )
-
-    def _calibrated(self, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the deviations of the same model once its gain is known, before `scale` [N]."""
-        share = 1.0 / SLOPE_WINDOWS
-        change = np.diff(self.force, prepend=self.force[:1])
-        slope = np.abs(lfilter([share], [1.0, share - 1.0], change))
-        # The part that calibration does not remove is in `deviation` with the factor already.
-        stays = math.sqrt(1.0 - CALIBRATED_DEVIATION**2) * np.hypot(
-            REST_DEVIATION, TIMING_WINDOWS * np.minimum(slope, STEEPEST_N)
-        )
-        return np.asarray(np.hypot(CALIBRATED_DEVIATION * deviation, stays))
 
 
 TrialEstimator = Callable[[TrialArrays], TrialEstimate]
@@ -165,10 +136,11 @@ def stream(model: Model, trial: TrialArrays, **options: Any) -> TrialEstimate:  
         options: Of `mixtac_fger.streaming.ForceEstimator`.
 
     Returns:
-        The estimates; none if the model gives none.
+        The live estimates of the trial, from its first force on.
 
     Raises:
-        DatasetError: The force of the trial is not known.
+        DatasetError: The force of the trial is not known, or there is no estimate: the trial
+            begins with too few still frames.
     """
     opened = open_estimator(model)
     # Trials begin without contact: the first frames are the zero.
@@ -208,22 +180,7 @@ def trial_estimator(model: Model) -> TrialEstimator:
     if model.architecture == PAPER_ARCHITECTURE:
         return partial(paper_estimate, paper_network_of(model).to(usual_device()))
     open_estimator(model)
-    return partial(live_estimate, model)
-
-
-def live_estimate(model: Model, trial: TrialArrays) -> TrialEstimate:
-    """Return the live estimates of a trial, from its first force on.
-
-    Raises:
-        DatasetError: There are none: too few still frames at the beginning.
-    """
-    found = stream(model, trial)
-    if not len(found.t_us):
-        raise DatasetError(
-            f'{found.name} gives no estimate',
-            remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
-        )
-    return found
+    return partial(stream, model)
 
 
 def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
@@ -237,16 +194,8 @@ def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
     """
     sample = make_paper_sample(network.config, trial)
     (force,) = run_samples(network, [sample])
-    later = sample.window_end_us > _settled_us(trial)
-    times = sample.window_end_us[later]
-    found = _estimate(trial, times, force=force[later].astype(np.float64))
-    if not len(found.t_us):
-        raise DatasetError(f'{found.name} gives no estimate at a time with a known force')
-    return found
-
-
-def _settled_us(trial: TrialArrays) -> int:
-    return int(trial.arrival_us[min(SETTLE_FRAMES, len(trial.arrival_us)) - 1])
+    later = sample.window_end_us > trial.arrival_us[:SETTLE_FRAMES][-1]
+    return _estimate(trial, sample.window_end_us[later], force=force[later].astype(np.float64))
 
 
 def _estimate(
@@ -255,21 +204,26 @@ def _estimate(
     **columns: NDArray[Any] | None,
 ) -> TrialEstimate:
     """Return estimates beside the known force, at the times at which it is known."""
-    label = trial.label()
+    label, name = trial.label(), str(trial.origin.get('name', 'trial'))
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
+    if not inside.any():
+        raise DatasetError(
+            f'{name} gives no estimate',
+            remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
+        )
     times = t_us[inside]
     reference = trial.reference if trial.truth is not None else None
     fields: dict[str, Any] = {
         name: None if column is None else column[inside] for name, column in columns.items()
     }
     return TrialEstimate(
-        name=str(trial.origin.get('name', 'trial')),
+        name=name,
         profile=trial.profile,
         device=sensor_of(trial.origin, 'unknown'),
         t_us=times,
         known=label.at(times).astype(np.float64),
         reference=None if reference is None else reference.at(times).astype(np.float64),
-        known_across=None if trial.across is None else trial.across.at(times),
+        known_across=None if trial.across is None else trial.across.at(times).astype(np.float64),
         **fields,
     )
 

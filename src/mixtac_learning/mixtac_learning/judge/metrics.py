@@ -15,16 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_core.events.errors import MixtacError
 from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.trials.trial import DatasetError
 
 Forces = NDArray[np.floating]
-
-
-class CalibrationError(MixtacError):
-    """A measurement that a sensor cannot be calibrated with."""
 
 
 def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
@@ -38,15 +33,7 @@ def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
         `samples`, their number; `mae`, `rmse`; `r2`, the coefficient of determination, absent where
         the truth does not vary; `constant_mae`, the MAE of the truth's median: what no sensor at
         all achieves; `peak_truth` and `peak_estimate`, the largest forces.
-
-    Raises:
-        DatasetError: The arrays are empty or differ in shape.
     """
-    if truth.shape != estimate.shape or not truth.size:
-        shapes = f'{truth.shape} and {estimate.shape}'
-        raise DatasetError(
-            f'truth and estimate have shapes {shapes}: give two equal, non-empty ones'
-        )
     truth, estimate = truth.astype(np.float64), estimate.astype(np.float64)
     error = estimate - truth
     spread = float(np.sum((truth - truth.mean()) ** 2))
@@ -63,20 +50,6 @@ def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
 
 INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
 """Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""
-
-
-def coverage(error: NDArray[np.float64], deviation: NDArray[np.float64]) -> dict[str, float]:
-    """Return the part of the windows within each of `INTERVALS`, and `mean_deviation` [N].
-
-    Zero width covers a zero error.
-
-    Args:
-        error: Estimate minus known force [N], 1-d.
-        deviation: Standard deviation that the model gives [N], 1-d.
-    """
-    size = np.abs(error)
-    covered = {name: float(np.mean(size <= w * deviation)) for name, w in INTERVALS.items()}
-    return covered | {'mean_deviation': float(deviation.mean())}
 
 
 def across_errors(across: NDArray[np.float64], known: NDArray[np.float64]) -> dict[str, float]:
@@ -124,12 +97,12 @@ def fit_scale(estimate: Forces, truth: Forces) -> float:
         truth: Known force at the same times [N]: a weight at rest, or an aligned reference sensor.
 
     Raises:
-        CalibrationError: Too few samples above `SMALLEST_FORCE_N`, in truth and estimate.
+        DatasetError: Too few samples above `SMALLEST_FORCE_N`, in truth and estimate.
     """
     pressed = (truth > SMALLEST_FORCE_N) & (estimate > 0.1 * SMALLEST_FORCE_N)
     count = int(np.count_nonzero(pressed))
     if count < FEWEST_SAMPLES:
-        raise CalibrationError(
+        raise DatasetError(
             f'{count} samples above {SMALLEST_FORCE_N} N: press until there are {FEWEST_SAMPLES}'
         )
     return best_gain(estimate[pressed], truth[pressed])
@@ -180,12 +153,12 @@ def summarise(
     """Return the figures over trials; forces in N, ratios without unit.
 
     Returns:
-        `trials`; of all windows together the fields of `measure` and of `coverage`; the mean over
+        `trials`; of all windows together the fields of `measure`, `INTERVALS` and `mean_deviation`
+        [N], the latter two where the model gives deviations; the mean over
         trials of `peak_error`; `reference_mae` against the measured reference where the true force
         is the label; `frames_only_mae` where the model has such an output; errors across the
         normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of the true
-        values, where they are known; with scales `calibrated_mae`, `calibrated_rmse` and the
-        fields of `coverage` after `calibrated_`.
+        values, where they are known; with scales `calibrated_mae` and `calibrated_rmse`.
     """
     known = _joined(e.known for e in estimates)
     figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates))
@@ -197,20 +170,14 @@ def summarise(
     both = [(a, k) for a, k in pairs if k is not None]
     if both:
         figures |= across_errors(_joined(a for a, _ in both), _joined(k for _, k in both))
-    for name, errors in (
-        ('reference_mae', [e.force - e.reference for e in estimates if e.reference is not None]),
-        (
-            'frames_only_mae',
-            [e.frames_only - e.known for e in estimates if e.frames_only is not None],
-        ),
-    ):
+    reference = [e.force - e.reference for e in estimates if e.reference is not None]
+    frames = [e.frames_only - e.known for e in estimates if e.frames_only is not None]
+    for name, errors in (('reference_mae', reference), ('frames_only_mae', frames)):
         if errors:
             figures[name] = float(np.abs(_joined(errors)).mean())
     if scales is not None:
-        scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
-        after = measure(known, _joined(e.force for e in scaled))
-        found = {'mae': after['mae'], 'rmse': after['rmse'], **_coverage(scaled)}
-        figures |= {f'calibrated_{name}': value for name, value in found.items()}
+        after = measure(known, _joined(scales.get(e.device, 1.0) * e.force for e in estimates))
+        figures |= {f'calibrated_{name}': after[name] for name in ('mae', 'rmse')}
     return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
 
 
@@ -219,11 +186,16 @@ def _joined(arrays: Iterable[NDArray[Any]]) -> NDArray[np.float64]:
 
 
 def _coverage(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
-    """Return what `coverage` gives over all windows; nothing for a model without deviations."""
+    """Return the part of all windows within each of `INTERVALS`, and `mean_deviation` [N].
+
+    Zero width covers a zero error. A model without deviations has none of these figures.
+    """
     deviations = [e.deviation for e in estimates if e.deviation is not None]
     if len(deviations) < len(estimates):
         return {}
-    return coverage(_joined(e.force - e.known for e in estimates), _joined(deviations))
+    size, all_n = np.abs(_joined(e.force - e.known for e in estimates)), _joined(deviations)
+    covered = {name: float(np.mean(size <= w * all_n)) for name, w in INTERVALS.items()}
+    return covered | {'mean_deviation': float(all_n.mean())}
 
 
 SLOW_SPAN_S = 0.04

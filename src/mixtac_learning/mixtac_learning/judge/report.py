@@ -16,11 +16,11 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from mixtac_core.node.files import FileError, replacing, write_json
+from mixtac_core.node.files import FileError, replacing
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag import distinct_names
 from mixtac_fger.validity import Reason
-from mixtac_fger.weights import Model, read_model
+from mixtac_fger.weights import read_model
 from mixtac_learning.judge.estimators import (
     Judged,
     TrialEstimate,
@@ -30,9 +30,8 @@ from mixtac_learning.judge.estimators import (
 )
 from mixtac_learning.judge.metrics import by_profile, fit_scale, trial_row
 from mixtac_learning.trials.bags import BagSource, bag_sources
-from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource
+from mixtac_learning.trials.trial import DatasetError, SimulatedSource
 from mixtac_sim.world.plans import (
-    TRAINING_PRESET,
     TrialSpec,
     calibration_plan,
     evaluation_plan,
@@ -75,7 +74,7 @@ def make_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obje
     return table
 
 
-def show_figures(console: Console, title: str, figures: Mapping[str, Mapping[str, Any]]) -> None:
+def show_figures(title: str, figures: Mapping[str, Mapping[str, Any]]) -> None:
     """Print the figures of `COLUMNS`, one row per profile."""
     names = [name for name in COLUMNS if any(name in row for row in figures.values())]
     rows = [
@@ -83,13 +82,13 @@ def show_figures(console: Console, title: str, figures: Mapping[str, Mapping[str
         for profile, row in figures.items()
     ]
     headings = ['profile', *(name.replace('_', ' ') for name in names)]
-    console.print(make_table(title, headings, rows))
+    Console().print(make_table(title, headings, rows))
 
 
-def show_skipped(console: Console, skipped: Mapping[str, str]) -> None:
+def show_skipped(skipped: Mapping[str, str]) -> None:
     """Print which trials were left out and why."""
     for name, reason in skipped.items():
-        console.print(f'left out {name}: {reason}', style='yellow', highlight=False)
+        print(f'left out {name}: {reason}')
 
 
 def new_axes(
@@ -101,9 +100,7 @@ def new_axes(
     figure = Figure(figsize=(width, height), layout='constrained')
     flat = list(figure.subplots(rows, columns, squeeze=False).flat)
     for ax in flat:
-        ax.spines[['top', 'right']].set_visible(False)
-        ax.grid(visible=True, alpha=0.25, linewidth=0.6)
-        ax.set_axisbelow(True)
+        ax.grid(alpha=0.25)
     return figure, flat
 
 
@@ -120,31 +117,6 @@ def save_figure(figure: Figure, path: Path) -> Path:
         message = f'cannot write {path}: {error}'
         raise FileError(message, remedy='name a .png or .pdf file') from error
     return path
-
-
-def plot_forces(
-    ax: Axes,
-    known: TrialEstimate,
-    curves: Mapping[Any, TrialEstimate],
-    origin_us: float,
-    span_s: tuple[float, float],
-) -> None:
-    """Plot estimates of one trial over the known force.
-
-    Args:
-        ax: Axes.
-        known: Any estimate of the trial.
-        curves: Estimates by how their models appear (`label` and `colour`).
-        origin_us: Time zero of the plot, camera clock [us].
-        span_s: Part that is shown [s].
-    """
-    lines = [(known.t_us, known.known, 'true force', TRUTH, 2.2)]
-    lines += [(e.t_us, e.force, look.label, look.colour, 1.1) for look, e in curves.items()]
-    for t_us, force, label, colour, width in lines:
-        t_s = 1e-6 * (t_us - origin_us)
-        shown = (t_s >= span_s[0]) & (t_s <= span_s[1])
-        ax.plot(t_s[shown], force[shown], color=colour, label=label, lw=width, alpha=0.9)
-    ax.set_xlim(*span_s)
 
 
 MOST_ROWS = 4
@@ -177,9 +149,10 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
     save_figure(figure, path)
 
 
-SERIES = ('trial', 'stamp', 'force', 'deviation', 'valid', 'reason', 'reference')
-"""Columns of a series."""
-SERIES_UNITS = {'stamp': 'us, camera clock', 'force': 'N', 'deviation': 'N', 'reference': 'N'}
+SERIES = (
+    'trial,"stamp [us, camera clock]","force [N]","deviation [N]",valid,reason,"reference [N]"\n'
+)
+"""Headings of a series."""
 
 
 def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
@@ -196,11 +169,8 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
     Raises:
         FileError: It cannot be written.
     """
-    headings = (
-        f'"{name} [{SERIES_UNITS[name]}]"' if name in SERIES_UNITS else name for name in SERIES
-    )
     with replacing(path) as scratch, scratch.open('w', encoding='utf-8') as file:
-        file.write(','.join(headings) + '\n')
+        file.write(SERIES)
         for each in estimates:
             unknown = np.full(len(each.t_us), np.nan)
             deviations = unknown if each.deviation is None else each.deviation
@@ -214,98 +184,57 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
                 )
 
 
-def run_evaluation(
-    path: Path,
-    bags: Sequence[Path],
-    *,
-    reference: str = REFERENCE,
-    gels: int = 3,
-    seconds: float = 10.0,
-    seed: int = 2,
-    preset: str = TRAINING_PRESET,
-    figures: Path | None = None,
-    json: Path | None = None,
-    series: Path | None = None,
-) -> None:
-    """Judge a model on bags against the force that is known of each, or on simulated sensors.
+def judge_bags(
+    path: Path, folders: Sequence[Path], reference: str = REFERENCE
+) -> tuple[Judged, dict[str, Any]]:
+    """Judge a model on bags against the force that is known of each.
 
     A bag that is named itself is always judged. Of a folder of bags that `dataset.yaml` describes
-    only the test split is. The simulated sensors are ones that no training has used.
+    only the test split is.
 
     Args:
         path: Weight file.
-        bags: Bags, or folders of bags; empty for simulated sensors.
-        reference: Topic of the reference force in bags.
-        gels: Number of simulated sensors.
-        seconds: Length of a simulated trial.
-        seed: Random seed for the simulated sensors and trials.
-        preset: How difficult the simulated trials are.
-        figures: Picture to draw; None for none.
-        json: File for the figures; None for none.
-        series: CSV file for the forces over time; None for none.
+        folders: Bags, or folders of bags.
+        reference: Topic of the reference force.
+
+    Returns:
+        The estimates; and for JSON the names of the `bags`, `metrics` by profile, and `rows`.
 
     Raises:
         ModelError: The weight file cannot be used.
         DatasetError: No trial can be evaluated.
-        FileError: A file cannot be written.
     """
-    model = read_model(path)
-    estimator = trial_estimator(model)
-    content: dict[str, Any] = {'model': str(path)}
-    sources: Sequence[TrialSource]
-    if bags:
-        found = [(source, each) for each in bags for source in bag_sources(each, reference)]
-        names = distinct_names(source.path for source, _ in found)
-        chosen_bags = [
-            replace(source, incomplete=True, shown=names[source.path])
-            for source, named in found
-            if source.path.resolve() == named.resolve()
-            or source.origin.get('split', 'test') == 'test'
-        ]
-        if not chosen_bags:
-            raise DatasetError(
-                f'all {len(found)} bags are of the train split', remedy='name a bag itself'
-            )
-        _warn_of_trained(model, chosen_bags)
-        sources = chosen_bags
-        judged = judge_sources(estimator, track(sources, 'judging', transient=True))
-        for source in chosen_bags:
-            if source.name not in judged.skipped and (damage := source.damage()):
-                print(f'warning: {source.name}: {damage}', file=sys.stderr)
-        rows = by_profile(judged.estimates)
-        title = f'{path.name} on {len(judged.estimates)} bags'
-        content |= {'bags': [source.name for source in sources], 'metrics': {'bags': rows}}
-    else:
-        devices = unseen_devices(gels, seed)
-        judged, rows = judge_devices(estimator, devices, seconds, seed, preset)
-        plan = evaluation_plan(devices, seconds, seed, preset=preset)
-        sources = [SimulatedSource(spec) for spec in plan if spec.profile == 'dynamic']
-        title = f'{path.name} on {gels} unseen sensors, simulated'
-        chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
-        content |= {'simulated': chosen, 'metrics': {'unseen_devices': rows}}
-    paths = {each.name: str(each.origin.get('bag', each.name)) for each in sources}
-    content['rows'] = [
-        trial_row(each) | {'bag': paths.get(each.name, each.name)} for each in judged.estimates
+    model, chosen = read_model(path), _chosen_bags(folders, reference)
+    trained = model.card.training.get('bags', ())
+    if known := ', '.join(bag.name for bag in chosen if bag.path.name in trained):
+        warning = 'warning: the model was trained on bags of these names:'
+        print(warning, known, file=sys.stderr)
+    judged = judge_sources(trial_estimator(model), track(chosen, 'judging', transient=True))
+    for bag in chosen:
+        if bag.name not in judged.skipped and (damage := bag.damage()):
+            print(f'warning: {bag.name}: {damage}', file=sys.stderr)
+    paths = {bag.name: str(bag.path) for bag in chosen}
+    return judged, {
+        'bags': list(paths),
+        'metrics': {'bags': by_profile(judged.estimates)},
+        'rows': [trial_row(each) | {'bag': paths[each.name]} for each in judged.estimates],
+    }
+
+
+def _chosen_bags(folders: Sequence[Path], reference: str) -> list[BagSource]:
+    """Return bags that are named themselves, and of folders those of the test split."""
+    found = [(source, each) for each in folders for source in bag_sources(each, reference)]
+    names = distinct_names(source.path for source, _ in found)
+    chosen = [
+        replace(source, incomplete=True, shown=names[source.path])
+        for source, named in found
+        if source.path.resolve() == named.resolve() or source.origin.get('split', 'test') == 'test'
     ]
-    content['skipped'] = judged.skipped
-    console = Console(markup=False)
-    show_figures(console, title, rows)
-    show_skipped(console, judged.skipped)
-    if figures is not None:
-        draw_trials(figures, title, judged.estimates)
-        console.print(f'drawn: {figures}')
-    if series is not None:
-        write_series(series, judged.estimates)
-        console.print(f'written: {series}')
-    write_json(json, content)
-
-
-def _warn_of_trained(model: Model, bags: Sequence[BagSource]) -> None:
-    training = model.card.training
-    trained = [bag.name for bag in bags if bag.path.name in training.get('bags', ())]
-    if trained:
-        names = ', '.join(trained)
-        print(f'warning: the model was trained on bags of these names: {names}', file=sys.stderr)
+    if not chosen:
+        raise DatasetError(
+            f'all {len(found)} bags are of the train split', remedy='name a bag itself'
+        )
+    return chosen
 
 
 def judge_devices(
@@ -324,8 +253,7 @@ def judge_devices(
         The estimates, and figures by profile.
 
     Raises:
-        CalibrationError: The model does not see a press.
-        MixtacError: No trial can be used.
+        MixtacError: No trial can be used, or the model does not see a press.
     """
 
     def sources(specs: Sequence[TrialSpec], title: str) -> Any:  # noqa: ANN401 - rich's own type
@@ -338,3 +266,31 @@ def judge_devices(
     trials = sources(evaluation_plan(chosen, seconds, seed, preset=preset), 'judging')
     judged = judge_sources(estimator, trials)
     return judged, by_profile(judged.estimates, scales)
+
+
+def judge_unseen(
+    path: Path, gels: int, seconds: float, seed: int, preset: str
+) -> tuple[Judged, dict[str, Any]]:
+    """Judge a model on simulated sensors that no training has used.
+
+    Args:
+        path: Weight file.
+        gels: Number of sensors.
+        seconds: Length of a trial.
+        seed: Random seed for the sensors and trials.
+        preset: How difficult the trials are.
+
+    Returns:
+        The estimates; and for JSON the options as `simulated`, `metrics` by profile, and `rows`.
+
+    Raises:
+        ModelError: The weight file cannot be used.
+        MixtacError: As `judge_devices`.
+    """
+    estimator, devices = trial_estimator(read_model(path)), unseen_devices(gels, seed)
+    judged, figures = judge_devices(estimator, devices, seconds, seed, preset)
+    return judged, {
+        'simulated': {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset},
+        'metrics': {'unseen_devices': figures},
+        'rows': [trial_row(each) for each in judged.estimates],
+    }

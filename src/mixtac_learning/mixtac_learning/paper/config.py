@@ -12,9 +12,6 @@ from mixtac_fger.config import ConfigError, from_mapping, to_mapping
 
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
-CORRECTIONS = ('continuous', 'periodic', 'spread')
-"""Which estimates are published: every window corrected by the latest frame, or only where one
-arrives, or each correction in equal parts over the cycle after it."""
 LIGHTS = ('intensity', 'reference')
 """What the frame network sees: intensities; or the logarithm of their ratio to those of the first
 frames of the trial, without contact, less its mean over the frame, which removes lamp and
@@ -47,8 +44,6 @@ class PaperConfig:
         increment_size: Hidden width of MLP_df.
         correction_size: Hidden width of MLP_corr, and of the regression heads of the baselines.
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
-        correction: One of `CORRECTIONS`; the estimate that is carried on is corrected once per
-            cycle either way.
         light: One of `LIGHTS`; across days only `reference` is of use, with `norm` `batch`.
         norm: One of `NORMS`.
     """
@@ -66,7 +61,6 @@ class PaperConfig:
     increment_size: int = 135
     correction_size: int = 128
     sparse_channels: tuple[int, ...] = (16, 32, 64)
-    correction: str = 'spread'
     light: str = 'intensity'
     norm: str = 'group'
 
@@ -76,12 +70,7 @@ class PaperConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        for name, known in (
-            ('model', MODELS),
-            ('correction', CORRECTIONS),
-            ('light', LIGHTS),
-            ('norm', NORMS),
-        ):
+        for name, known in (('model', MODELS), ('light', LIGHTS), ('norm', NORMS)):
             if getattr(self, name) not in known:
                 raise ConfigError(
                     f'PaperConfig.{name} = {getattr(self, name)!r}: choose one of {known}'

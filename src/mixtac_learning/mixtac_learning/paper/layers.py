@@ -201,31 +201,28 @@ class PointEncoder(nn.Module):
         sums, sum_bias = second.get_parameter('weight'), second.get_parameter('bias')
         cells = _grid(len(ramps), len(sums))
         # Ramps up and down from each border between cells; polarity ON, OFF; time.
-        used = 3
-        beyond: list[int] = []
-        below: list[int] = []
+        used, starts = 3, dict[tuple[int, float], int]()
         ramps[:3], ramp_bias[:3] = 0.0, 0.0
         ramps[0, 3], ramps[1, 3], ramps[2, 2] = 1.0, -1.0, 1.0
         for axis, count in enumerate(cells):
             borders = torch.linspace(-1.0, 1.0, count + 1)[1:-1]
-            for starts, sign in ((beyond, 1.0), (below, -1.0)):
+            for sign in (1.0, -1.0):
                 rows = slice(used, used + count - 1)
                 ramps[rows], ramp_bias[rows] = 0.0, -sign * borders
                 ramps[rows, axis] = sign
-                starts.append(used)
+                starts[axis, sign] = used
                 used += count - 1
         sums.mul_(_AT_RANDOM)
-        for channel, (column, row, other) in enumerate(
-            product(range(cells[0]), range(cells[1]), (0, 1))
-        ):
+        places = product(range(cells[0]), range(cells[1]), (0, 1))
+        for channel, (column, row, other) in enumerate(places):
             sums[channel, :used], sum_bias[channel] = 0.0, 1.0
             sums[channel, 2] = _BY_TIME
             sums[channel, other] = -2.0
             for axis, place in enumerate((column, row)):
                 if place < cells[axis] - 1:
-                    sums[channel, beyond[axis] + place] = -float(cells[axis])
+                    sums[channel, starts[axis, 1.0] + place] = -float(cells[axis])
                 if place:
-                    sums[channel, below[axis] + place - 1] = -float(cells[axis])
+                    sums[channel, starts[axis, -1.0] + place - 1] = -float(cells[axis])
 
     def forward(self, points: Tensor, packet: Tensor, packets: int) -> Tensor:
         """Return f_e [packets, size]; an empty packet has the maximum zero, scaled.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.frames import bin_mean
@@ -22,10 +21,8 @@ from mixtac_fger.weights import Model
 from mixtac_learning.network import count_parameters, usual_device
 from mixtac_learning.paper.networks import (
     EventsOnly,
-    FeatureFusion,
-    FgerPaper,
-    FrameModel,
     PaperState,
+    SegmentBatch,
     operations_per_cycle,
     paper_network_of,
 )
@@ -99,8 +96,7 @@ class PaperEstimator(Estimator):
         if isinstance(network, EventsOnly):
             return EncodedFrame(mid_us, 0.0, 0, None)
         content = network.frame(frame)
-        fused = isinstance(network, FeatureFusion)
-        force = 0.0 if fused else float(network.force_of(content)[0])
+        force = 0.0 if config.model == 'fusion' else float(network.force_of(content)[0])
         return EncodedFrame(mid_us, force, 0, content)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:  # noqa: ARG002
@@ -115,50 +111,31 @@ class PaperEstimator(Estimator):
     @torch.inference_mode()
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
         """Advance by one window; return the force [N], and None for the standard deviation."""
-        network, state = self._network, self._state
-        frame, self._frame = self._frame, None
-        if isinstance(network, (FgerPaper, EventsOnly)):
-            features = self._event_features(network, events, end_us)
-            if isinstance(network, EventsOnly):
-                state = network.recurrence.step(features, state)
-                force = state.force
-            else:
-                slots = torch.full((1,), -1 if frame is None else 0, device=self._device)
-                frames = state.feature if frame is None else frame.content
-                force, state = network.window(
-                    features, frames, slots, state, arrives=frame is not None
-                )
-        else:
-            if isinstance(network, FeatureFusion):
-                ends = np.array([end_us - self._config.window_us, end_us])
-                counts = event_counts(self._config, events, ends)[0].astype(np.int64)
-                self._counts = np.minimum(self._counts + counts, 255)
-            force = state.force
-            if frame is not None:
-                force = self._frame_force(network, frame.content)
-                state = state._replace(force=force)
-        self._state = state
-        return float(force[0]), None
+        config, frame, self._frame = self._config, self._frame, None
+        points, _ = packet_points(config, events, np.array([end_us]))
+        if config.model == 'fusion':
+            borders = np.array([end_us - config.window_us, end_us])
+            counts = event_counts(config, events, borders).astype(np.int64)
+            self._counts = np.minimum(self._counts + counts, 255)
+        content = None if frame is None else frame.content
+        batch = SegmentBatch(
+            points=torch.from_numpy(points.astype(np.float32)),
+            packet=torch.zeros(len(points), dtype=torch.int64),
+            frames=torch.zeros(0, config.channels) if content is None else content,
+            event_frames=torch.from_numpy(np.log1p(self._counts.astype(np.float32))),
+            slots=torch.full((1, 1), -1 if content is None else 0),
+            before=torch.tensor([-1]),
+            force=torch.zeros(1, 1),
+        )
+        force, self._state = self._network(batch.to(self._device), self._state)
+        if content is not None:
+            self._counts = self._no_counts()
+        return float(force[0, 0]), None
 
     def clear(self) -> None:
         """Forget the recurrent state."""
         self._state = self._network.initial_state(1)
         self._counts = self._no_counts()
 
-    def _event_features(
-        self, network: FgerPaper | EventsOnly, events: Events, end_us: int
-    ) -> Tensor:
-        points, _ = packet_points(self._config, events, np.array([end_us]))
-        inputs = torch.from_numpy(points.astype(np.float32)).to(self._device)
-        packet = torch.zeros(len(points), dtype=torch.int64, device=self._device)
-        return network.recurrence.encoder(inputs, packet, 1)  # type: ignore[no-any-return]
-
-    def _frame_force(self, network: FrameModel, content: Tensor) -> Tensor:
-        if isinstance(network, FeatureFusion):
-            counts, self._counts = self._counts, self._no_counts()
-            events = torch.from_numpy(np.log1p(counts.astype(np.float32)))[None].to(self._device)
-            content = torch.cat([content, network.events(events)], 1)
-        return torch.Tensor(network.force_of(content))
-
     def _no_counts(self) -> NDArray[np.int64]:
-        return np.zeros((2, *self._config.frame_shape), np.int64)
+        return np.zeros((1, 2, *self._config.frame_shape), np.int64)

@@ -25,7 +25,7 @@ class SegmentBatch:
         points: Events of all windows, [E, 4]; see `PointEncoder`.
         packet: Window of each event, t * B + b, int64 [E].
         frames: The frames, [N, 1, rows, columns], see `FrameBackbone`; or f_frame,
-            [N, channels], for FGER-Net where it is known already.
+            [N, channels], where it is known already.
         event_frames: ln(1 + count) of ON and OFF events between each frame and the one before, [N,
             2, rows, columns]; empty unless the model reads them.
         slots: Frame that arrives in each window, -1 for none, int64 [T, B].
@@ -55,7 +55,7 @@ class PaperState(NamedTuple):
         force: Estimate [B] in N.
         feature: Feature of the latest frame [B, channels].
         seen: Whether there is one, bool [B].
-        withheld: Part of `force` that is not published yet [B] in N (`spread`).
+        withheld: Part of `force` that is not published yet [B] in N.
         share: Part of it that each window publishes [B] in N.
     """
 
@@ -99,24 +99,38 @@ class EventRecurrence(nn.Module):
         force = state.force + self.unit * self.increment(hidden)[:, 0]
         return state._replace(hidden=hidden, cell=cell, force=force)
 
+    def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last."""
+        events, forces = self.features(batch), []
+        with torch.autocast(events.device.type, enabled=False):
+            for features in events:
+                state = self.step(features, state)
+                forces.append(state.force)
+        return torch.stack(forces), state
 
-class RecurrentModel(nn.Module):
-    """A network with the recurrence."""
 
-    config: PaperConfig
-    recurrence: EventRecurrence
+class Network(nn.Module):
+    """One of the networks.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.config = config
 
     def initial_state(self, sequences: int) -> PaperState:
-        """Return the state before any event: no force."""
-        like = self.recurrence.lstm.weight_ih
-        zeros = like.new_zeros(sequences, self.config.lstm_size)
+        """Return the state before any event or frame: no force."""
+        like = next(self.parameters())
+        hidden, cell = like.new_zeros(2, sequences, self.config.lstm_size)
         feature = like.new_zeros(sequences, self.config.channels)
         seen = torch.zeros(sequences, dtype=torch.bool, device=like.device)
         force, withheld, share = like.new_zeros(3, sequences)
-        return PaperState(zeros, zeros.clone(), force, feature, seen, withheld, share)
+        return PaperState(hidden, cell, force, feature, seen, withheld, share)
 
 
-class EventsOnly(RecurrentModel):
+class EventsOnly(Network):
     """The recurrence alone: no frame reaches it, neither as input nor through a gradient.
 
     Args:
@@ -124,37 +138,28 @@ class EventsOnly(RecurrentModel):
     """
 
     def __init__(self, config: PaperConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         self.recurrence = EventRecurrence(config)
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
-        events, forces = self.recurrence.features(batch), []
-        with torch.autocast(events.device.type, enabled=False):
-            for features in events:
-                state = self.recurrence.step(features, state)
-                forces.append(state.force)
-        return torch.stack(forces), state
+        found: tuple[Tensor, PaperState] = self.recurrence(batch, state)
+        return found
 
 
-class FgerPaper(RecurrentModel):
+class FgerPaper(Network):
     """FGER-Net.
 
     The estimate that is carried on is corrected once per cycle, by the frame whose arrival ends
-    it. `PaperConfig.correction` applies to the published estimates, in training as in use. With
-    `continuous` every window's estimate is corrected by the latest frame. That correction is not
-    carried on: fed back 500 times a second it is unstable. With `spread` each correction, after
-    the first, is published in equal parts over the windows of the next cycle, so that the force
-    does not jump at frames.
+    it. Each correction, after the first, is published in equal parts over the windows of the next
+    cycle, so that the force does not jump at frames, in training as in use.
 
     Args:
         config: Shapes.
     """
 
     def __init__(self, config: PaperConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         self.frame = FrameBackbone(config)
         self.recurrence = EventRecurrence(config)
         self.correction = perceptron(1 + config.channels, config.correction_size)
@@ -213,22 +218,13 @@ class FgerPaper(RecurrentModel):
             known, before = state.seen, state.force
             state = _see(state, frames, slots)
             force = torch.where(fresh, self.corrected(state.force, state.feature), state.force)
-            state = state._replace(force=force)
-            if self.config.correction == 'spread':
-                withheld = state.withheld + torch.where(known, force - before, 0.0)
-                windows = CYCLE_US // self.config.window_us
-                share = torch.where(fresh, withheld / windows, state.share)
-                state = state._replace(withheld=withheld, share=share)
-        given = state.force
-        if self.config.correction == 'continuous':
-            corrected = self.corrected(given, state.feature)
-            given = torch.where(state.seen & ~fresh, corrected, given)
-        elif self.config.correction == 'spread':
-            more = state.withheld.abs() > state.share.abs()
-            withheld = torch.where(more, state.withheld - state.share, 0.0)
-            state = state._replace(withheld=withheld)
-            given = state.force - withheld
-        return given, state
+            withheld = state.withheld + torch.where(known, force - before, 0.0)
+            windows = CYCLE_US // self.config.window_us
+            share = torch.where(fresh, withheld / windows, state.share)
+            state = state._replace(force=force, withheld=withheld, share=share)
+        more = state.withheld.abs() > state.share.abs()
+        withheld = torch.where(more, state.withheld - state.share, 0.0)
+        return state.force - withheld, state._replace(withheld=withheld)
 
     def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:  # noqa: ARG002
         """Return f_frame of frames, [N, channels]; the events are not used."""
@@ -249,31 +245,30 @@ def _see(state: PaperState, frames: Tensor, slots: Tensor) -> PaperState:
     return state._replace(feature=feature, seen=state.seen | fresh)
 
 
-class FrameModel(nn.Module):
+class FrameModel(Network):
     """A network with one force per frame, held until the next.
+
+    Frames only: the frame feature goes directly into a regression head. Feature level fusion: two
+    convolutional networks side by side, their features concatenated, a perceptron on top.
 
     Args:
         config: Shapes.
     """
 
     def __init__(self, config: PaperConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         self.frame = FrameBackbone(config)
         more = config.sparse_channels[-1] if config.model == 'fusion' else 0
         self.head = perceptron(config.channels + more, config.correction_size)
-
-    def initial_state(self, sequences: int) -> PaperState:
-        """Return the state before the first frame: no force."""
-        device = next(self.parameters()).device
-        none = torch.zeros(sequences, 0, device=device)
-        seen = torch.zeros(sequences, dtype=torch.bool, device=device)
-        force, withheld, share = torch.zeros(3, sequences, device=device)
-        return PaperState(none, none, force, none, seen, withheld, share)
+        if config.model == 'fusion':
+            self.events = SparseBackbone(2, config.sparse_channels)
 
     def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
         """Return the input of the head from each frame, [N, size]; inputs as in `SegmentBatch`."""
-        raise NotImplementedError
+        seen = frames if frames.dim() == 2 else torch.Tensor(self.frame(frames))
+        if self.config.model == 'fusion':
+            return torch.cat([seen, self.events(event_frames)], 1)
+        return seen
 
     def force_of(self, features: Tensor) -> Tensor:
         """Return the force [N] of each frame, [N], by what `features` returns."""
@@ -292,44 +287,16 @@ class FrameModel(nn.Module):
         return torch.stack(forces), state._replace(force=known)
 
 
-class FramesOnly(FrameModel):
-    """The frame feature fed directly into a regression head."""
-
-    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:  # noqa: ARG002
-        """Return the frame feature; the events are not used."""
-        return torch.Tensor(self.frame(frames))
-
-
-class FeatureFusion(FrameModel):
-    """Two convolutional networks side by side, their features concatenated, a perceptron on top.
-
-    Args:
-        config: Shapes.
-    """
-
-    def __init__(self, config: PaperConfig) -> None:
-        super().__init__(config)
-        self.events = SparseBackbone(2, config.sparse_channels)
-
-    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
-        """Return the features of frames and events side by side."""
-        return torch.cat([self.frame(frames), self.events(event_frames)], 1)
-
-
 PaperNetwork = FgerPaper | EventsOnly | FrameModel
 CYCLE_US = 40_000
 """From frame to frame at the paper's 25 Hz."""
-_CLASSES: dict[str, type[FgerPaper | EventsOnly | FramesOnly | FeatureFusion]] = {
-    'fger': FgerPaper,
-    'events': EventsOnly,
-    'frames': FramesOnly,
-    'fusion': FeatureFusion,
-}
 
 
 def build(config: PaperConfig) -> PaperNetwork:
     """Return a network with fresh weights."""
-    return _CLASSES[config.model](config)
+    if config.model == 'fger':
+        return FgerPaper(config)
+    return EventsOnly(config) if config.model == 'events' else FrameModel(config)
 
 
 PAPER_ARCHITECTURE = 'fger_paper'

@@ -223,70 +223,41 @@ def assemble(
         config: Of the network; what it does not read stays empty.
         features: f_frame of all frames of each sample where it is known, [frames, channels].
     """
-    columns = [
-        _Column(samples[s.trial], s, config, features[s.trial] if features else None)
-        for s in segments
-    ]
-    shift = np.cumsum([0, *(len(c.frames) for c in columns[:-1])])
-    slots = np.stack([_shifted(c.slots, k) for c, k in zip(columns, shift, strict=True)], 1)
-    before = np.array([_shifted(c.before, k) for c, k in zip(columns, shift, strict=True)])
-    packet = np.concatenate([c.packet * len(columns) + b for b, c in enumerate(columns)])
+    columns: list[list[Any]] = [[] for _ in range(6)]
+    points, packets, frames, pictures, slots, before = columns
+    count = 0
+    for column, segment in enumerate(segments):
+        sample, rows = samples[segment.trial], slice(segment.start, segment.stop)
+        named = np.append(sample.slots[rows], sample.slots[: segment.start].max(initial=-1))
+        if config.model == 'events':
+            named[:] = -1
+        used = np.unique(named[named >= 0])
+        frames.append(features[segment.trial][used] if features else sample.seen(used, config))
+        shown = used if config.model == 'fusion' else used[:0]
+        pictures.append(np.log1p(sample.counts[shown].astype(np.float32)))
+        index = np.where(named >= 0, np.searchsorted(used, named) + count, -1)
+        slots.append(index[:-1])
+        before.append(index[-1])
+        count += len(used)
+        starts = sample.starts[segment.start : segment.stop + 1]
+        if config.model not in {'fger', 'events'}:
+            starts = starts[:1]
+        points.append(sample.points[starts[0] : starts[-1]])
+        packet = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        packets.append(packet * len(segments) + column)
     return SegmentBatch(
-        points=_tensor(np.concatenate([c.points for c in columns]), np.float32),
-        packet=torch.from_numpy(packet),
-        frames=_tensor(np.concatenate([c.frames for c in columns]), np.float32),
-        event_frames=_tensor(np.concatenate([c.event_frames for c in columns]), np.float32),
-        slots=torch.from_numpy(slots),
-        before=torch.from_numpy(before),
-        force=_tensor(np.stack([c.force for c in columns], 1), np.float32),
+        points=_tensor(np.concatenate(points)),
+        packet=torch.from_numpy(np.concatenate(packets)),
+        frames=_tensor(np.concatenate(frames)),
+        event_frames=_tensor(np.concatenate(pictures)),
+        slots=torch.from_numpy(np.stack(slots, 1)),
+        before=torch.from_numpy(np.array(before)),
+        force=_tensor(np.stack([samples[s.trial].force[s.start : s.stop] for s in segments], 1)),
     )
 
 
-class _Column:
-    """One stretch, with frames counted from its own first."""
-
-    def __init__(
-        self,
-        sample: PaperSample,
-        segment: Segment,
-        config: PaperConfig,
-        features: NDArray[np.float32] | None,
-    ) -> None:
-        rows = slice(segment.start, segment.stop)
-        slots = np.array(sample.slots[rows])
-        self.force = np.array(sample.force[rows])
-        earlier = np.flatnonzero(sample.slots[: segment.start] >= 0)
-        latest = int(sample.slots[earlier[-1]]) if len(earlier) else -1
-        if config.model == 'events':
-            used = np.zeros(0, np.int64)
-            self.slots, self.before = np.full_like(slots, -1), np.int64(-1)
-        else:
-            used = np.unique(np.concatenate([[latest], slots]))
-            used = used[used >= 0]
-            self.slots = np.where(slots >= 0, np.searchsorted(used, slots), -1)
-            self.before = np.int64(np.searchsorted(used, latest) if latest >= 0 else -1)
-        self.frames = sample.seen(used, config) if features is None else features[used]
-        shown = used if config.model == 'fusion' else used[:0]
-        self.event_frames = np.log1p(sample.counts[shown].astype(np.float32))
-        self.points, self.packet = _points(sample, segment, config.model)
-
-
-def _points(
-    sample: PaperSample, segment: Segment, model: str
-) -> tuple[NDArray[np.float16], NDArray[np.int64]]:
-    if model not in {'fger', 'events'}:
-        return np.zeros((0, 4), np.float16), np.zeros(0, np.int64)
-    starts = sample.starts[segment.start : segment.stop + 1]
-    packet = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    return np.array(sample.points[starts[0] : starts[-1]]), packet
-
-
-def _shifted(slots: NDArray[np.int64] | np.int64, shift: int) -> NDArray[np.int64]:
-    return np.where(slots >= 0, slots + shift, -1)
-
-
-def _tensor(array: NDArray[np.generic], kind: type[np.float32]) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array, dtype=kind))
+def _tensor(array: NDArray[np.generic]) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
 
 
 class FrameBatch(NamedTuple):
@@ -303,10 +274,11 @@ class FrameBatch(NamedTuple):
     force: torch.Tensor
 
 
-def arrivals(samples: Sequence[PaperSample], trials: Sequence[int]) -> NDArray[np.int64]:
-    """Return trial and window of every frame that arrives in one of these trials, int64 [N, 2]."""
-    found = [np.flatnonzero(samples[trial].slots >= 0) for trial in trials]
-    return np.stack([np.repeat(trials, [len(each) for each in found]), np.concatenate(found)], 1)
+def arrivals(samples: Sequence[PaperSample]) -> NDArray[np.int64]:
+    """Return trial and window of every frame that arrives, int64 [N, 2]."""
+    found = [np.flatnonzero(sample.slots >= 0) for sample in samples]
+    trials = np.repeat(np.arange(len(found)), [len(each) for each in found])
+    return np.stack([trials, np.concatenate(found)], 1)
 
 
 def frame_batch(
@@ -322,20 +294,14 @@ def frame_batch(
         chosen: Rows of `arrivals`, int64 [N, 2].
         config: Of the network.
     """
-    frames, event_frames, force = [], [], []
+    fused, parts = config.model == 'fusion', []
     for trial in np.unique(chosen[:, 0]):
         sample, windows = samples[trial], np.sort(chosen[chosen[:, 0] == trial, 1])
         used = sample.slots[windows]
-        frames.append(sample.seen(used, config))
-        shown = used if config.model == 'fusion' else used[:0]
-        event_frames.append(np.log1p(sample.counts[shown].astype(np.float32)))
-        known = sample.force[windows] if config.model == 'fusion' else sample.frame_force[used]
-        force.append(known)
-    return FrameBatch(
-        _tensor(np.concatenate(frames), np.float32),
-        _tensor(np.concatenate(event_frames), np.float32),
-        _tensor(np.concatenate(force), np.float32),
-    )
+        counts = sample.counts[used if fused else used[:0]].astype(np.float32)
+        force = sample.force[windows] if fused else sample.frame_force[used]
+        parts.append((sample.seen(used, config), np.log1p(counts), force))
+    return FrameBatch(*(_tensor(np.concatenate(each)) for each in zip(*parts, strict=True)))
 
 
 STRETCH_WINDOWS = 250

@@ -157,8 +157,8 @@ class RunConfig:
         network: Fields of the network's configuration that differ from its defaults.
         training: Fields of the training settings that differ from their defaults.
         data: What to train on.
-        judged: Simulated sensors that no training used, on which the model is judged afterwards,
-            and half as many that were trained on; 0 judges nothing.
+        judged: Simulated sensors that no training used, on which the model is judged afterwards;
+            0 judges nothing.
         start: Weight file of `ours` to adapt, or name of a shipped model: the network is that of
             the file. Empty for random weights.
     """
@@ -197,12 +197,15 @@ class RunConfig:
         return json.dumps(fields, sort_keys=True)
 
 
-def read_run_config(path: Path) -> RunConfig:
-    """Read a run from a YAML file.
+def read_run_config(name: str) -> RunConfig:
+    """Read a run from a YAML file: a path, or the name of a shipped one without `.yaml`.
 
     Raises:
         ConfigError: The file is missing or no YAML, or a field is unknown or of another type.
     """
+    path = Path(name).expanduser()
+    if path.suffix not in {'.yaml', '.yml'} and not path.exists():
+        path = shipped_runs() / f'{name}.yaml'
     try:
         return read_dataclass(path, RunConfig)
     except FileError as error:
@@ -243,32 +246,21 @@ def with_overrides(
     Raises:
         ConfigError: The model cannot be adapted.
     """
+    training, changed = dict(config.training), dict[str, Any]()
+    target = out or config.out
     if bags:
-        names = tuple(str(bag) for bag in bags)
-        config = replace(config, data=replace(config.data, simulated=None, bags=names))
+        changed |= {'simulated': None, 'bags': tuple(str(bag) for bag in bags)}
     if start is not None:
-        config = replace(
-            config,
-            start=start,
-            out=f'models/{Path(start).stem}_adapted.safetensors',
-            training=config.training | ADAPTING,
-            data=replace(config.data, checked=HELD_BACK),
-        )
-    if out is not None:
-        config = replace(config, out=str(out))
+        config = replace(config, start=start)
+        training |= ADAPTING
+        changed['checked'] = HELD_BACK
+        target = out or f'models/{Path(start).stem}_adapted.safetensors'
     if seed is not None:
-        config = replace(config, training=config.training | {'seed': seed})
+        training['seed'] = seed
     if data is not None:
-        config = replace(config, data=replace(config.data, cache=str(data)))
-    return config
-
-
-def find_run_config(name: str) -> Path:
-    """Return the file that `name` means: a path, or a shipped one's name without `.yaml`."""
-    path = Path(name).expanduser()
-    if path.suffix in {'.yaml', '.yml'} or path.exists():
-        return path
-    return shipped_runs() / f'{name}.yaml'
+        changed['cache'] = str(data)
+    chosen = replace(config.data, **changed)
+    return replace(config, out=str(target), training=training, data=chosen)
 
 
 def shipped_runs() -> Path:

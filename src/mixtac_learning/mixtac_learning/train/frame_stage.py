@@ -10,7 +10,7 @@ groups from disk, mirrored at random.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +21,9 @@ from torch.nn.functional import linear, smooth_l1_loss
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import FgerNetwork, FrameSlots
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.loop import Processes, Stage
+from mixtac_learning.train.loop import Stage
 from mixtac_learning.trials.samples import Sample, load_sample
-from mixtac_learning.trials.trial import DatasetError, sensor_of
+from mixtac_learning.trials.trial import sensor_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +140,7 @@ class DiskGroups:
     Args:
         paths: Folders of samples.
         group_size: Trials per group.
-        own: Which of the files this process reads; None for all. Groups of all processes are
-            equally long, so that they make the same number of updates.
+        own: Which of the files this process reads; None for all.
 
     Attributes:
         devices: Number of different sensors over all groups and processes.
@@ -154,19 +153,13 @@ class DiskGroups:
         own: Sequence[int] | None = None,
     ) -> None:
         chosen = list(range(len(paths)) if own is None else own)
-        if not chosen:
-            raise DatasetError(
-                f'{len(paths)} trials are too few to share: start fewer processes, or give more'
-            )
         # One at a time is mapped: there may be more files than a process may open.
         facts = [
             (sensor_of(sample.origin, f'trial {index}'), len(sample.force))
             for index, sample in enumerate(load_sample(path, Sample) for path in paths)
         ]
-        keys = [key for key, _ in facts]
-        order = {key: number for number, key in enumerate(sorted(set(keys)))}
-        self._numbers = [order[key] for key in keys]
-        self.devices = len(order)
+        sensors, self._numbers = np.unique([key for key, _ in facts], return_inverse=True)
+        self.devices = len(sensors)
         self._length = max(windows for _, windows in facts)
         self._paths = list(paths)
         self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]
@@ -333,24 +326,16 @@ class FgerStage(Stage):
     """Data and settings that the stages of FGER-Net share.
 
     Attributes:
-        name: `frames`, `recurrent`, `joint` or `deviation`.
-        epochs: Epochs.
-        rate: Largest learning rate.
         model: Network and gains.
         groups: Trials to train on.
         settings: Settings of the run.
         checked: Validation trials; None for none.
-        processes: Processes that share the training.
     """
 
-    name: str
-    epochs: int
-    rate: float
     model: NetworkWithGains
     groups: DiskGroups
     settings: TrainingSettings
     checked: DiskGroups | None = None
-    processes: Processes = field(default_factory=Processes)
 
 
 class FrameStage(FgerStage):
@@ -359,7 +344,7 @@ class FrameStage(FgerStage):
     def begin(self) -> None:
         """Begin with the moments alone: the convolutions learn what these leave over."""
         if self.model.network.config.reads_flow and not self.model.adapts:
-            follow_moments(self.model.network, self.groups.load(0), self.processes)
+            follow_moments(self.model.network, self.groups.load(0))
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights that a frame's forces come from, and the gains.
@@ -371,18 +356,18 @@ class FrameStage(FgerStage):
         return [*frame_parameters(self.model.network), self.model.log_gains]
 
     def updates(self) -> int:
-        """Return the number of updates per epoch, the same in all processes."""
-        return sum(self._batches(index) for index in range(self._groups()))
+        """Return the number of updates per epoch."""
+        frames = [len(self.groups.load(index).frame_force) for index in range(len(self.groups))]
+        return sum(-(-count // self.settings.frame_batch) for count in frames)
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch: groups in random order, frames shuffled within each."""
-        for group in torch.randperm(self._groups(), generator=random).tolist():
+        for group in torch.randperm(len(self.groups), generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
             labels = sequences.frame_force
             device = sequences.device[sequences.frame_trial]
             order = shuffled(len(labels), random)
-            rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
-            for chosen in rows:
+            for chosen in torch.split(order, self.settings.frame_batch):
                 flips, network = draw_flips(self.settings, random), self.model.network
                 seen = frame_features(network, sequences, chosen, flips)
                 force = network.frame.force(seen)
@@ -403,22 +388,14 @@ class FrameStage(FgerStage):
             lambda held: network.frame.force(encode(network, held)) - held.frame_force,
         )
 
-    def _groups(self) -> int:
-        return self.processes.smallest(len(self.groups))
-
-    def _batches(self, group: int) -> int:
-        own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
-        return self.processes.smallest(own)
-
 
 @torch.no_grad()
-def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Processes) -> None:
+def follow_moments(network: FgerNetwork, sequences: Sequences) -> None:
     """Make the forces of frames those of the moments alone, by least squares, in place.
 
     Args:
         network: `NetworkWithGains.fit_scales` has been called.
         sequences: Trials to fit the constants to.
-        processes: Processes that share the mean of their constants.
     """
     moments = (sequences.frame_moments / network.frame.spread.cpu()).double()
     first = network.config.frame_size
@@ -429,7 +406,6 @@ def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Proces
         labelled = torch.isfinite(known).all(1)
         inputs = torch.cat([moments[labelled][:, each] for each in columns])
         found = torch.linalg.lstsq(inputs, known[labelled].T.reshape(-1, 1).double()).solution[:, 0]
-        found = processes.mean(found)
         head.weight.zero_()
         head.bias.zero_()
         for row, each in enumerate(columns):

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 import torch.distributed as dist
@@ -27,6 +27,7 @@ from torch import Tensor, nn
 from mixtac_core.events.errors import MixtacError
 from mixtac_fger.weights import read_tensors, write_tensors
 
+T = TypeVar('T')
 PATIENCE = timedelta(days=7)
 """How long processes wait for the one that prepares the data; by default it is half an hour."""
 
@@ -63,9 +64,16 @@ class Processes:
         """Whether this process writes files and reports."""
         return self.rank == 0
 
-    def share(self, items: Sequence[int]) -> list[int]:
-        """Return this process's part of a sequence, of nearly equal size."""
-        return list(items[self.rank :: self.world])
+    def share(self, items: Sequence[T]) -> list[T]:
+        """Return this process's part of a sequence, of nearly equal size.
+
+        Raises:
+            TrainingError: It is empty.
+        """
+        if found := list(items[self.rank :: self.world]):
+            return found
+        trials = f'{len(items)} trials are too few for {self.world} processes'
+        raise TrainingError(trials, remedy='start fewer processes, or give more trials')
 
     def mean(self, tensor: Tensor) -> Tensor:
         """Return the mean of a tensor over all processes."""
@@ -88,11 +96,12 @@ class Processes:
         for each in parameters if self.world > 1 else ():
             each.grad = self.mean(torch.zeros_like(each) if each.grad is None else each.grad)
 
-    def average_buffers(self, module: nn.Module) -> None:
-        """Give all processes the mean of the running statistics."""
-        for buffer in module.buffers() if self.world > 1 else ():
-            if buffer.is_floating_point():
-                buffer.copy_(self.mean(buffer))
+    @torch.no_grad()
+    def average_weights(self, module: nn.Module) -> None:
+        """Give all processes the mean of all weights and statistics."""
+        for each in module.state_dict().values() if self.world > 1 else ():
+            if each.is_floating_point():
+                each.copy_(self.mean(each))
 
     def wait(self) -> None:
         """Wait for all processes."""
@@ -192,6 +201,7 @@ def save_checkpoint(path: Path, fingerprint: str, progress: Progress, parts: Par
     write_tensors(path, arrays, header)
 
 
+@dataclass(eq=False)
 class Stage(ABC):
     """A part of training with an optimiser of its own.
 
@@ -218,7 +228,10 @@ class Stage(ABC):
 
     @abstractmethod
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
-        """Yield the losses of one epoch; the update is made before the next is asked for."""
+        """Yield the losses of one epoch; the update is made before the next is asked for.
+
+        Processes make equally many updates: the epoch of all ends with the first that has no more.
+        """
 
     def validate(self) -> float | None:
         """Return the error on trials that are not trained on [N]; None without such trials."""
@@ -292,6 +305,7 @@ class TrainingLoop:
         progress = self.progress
         if progress.epoch == 0:
             stage.begin()
+            self.processes.average_weights(self.module)
         optimiser = torch.optim.AdamW(
             stage.parameters(), lr=stage.rate, weight_decay=self.weight_decay
         )
@@ -309,6 +323,7 @@ class TrainingLoop:
             started, busy = time.monotonic(), time.process_time()
             loss = self._epoch(stage, optimiser, random)
             error = self._validate(stage)
+            self.processes.average_weights(self.module)
             progress.epoch += 1
             if error is not None:
                 progress.since_best += 1
@@ -331,7 +346,6 @@ class TrainingLoop:
                     'random': {'stages': random.get_state(), 'global': torch.get_rng_state()},
                 }
                 save_checkpoint(self.checkpoint, self.fingerprint, progress, parts)
-            self.processes.wait()
         if best and self.patience:
             self.module.load_state_dict(best)
 
@@ -343,19 +357,18 @@ class TrainingLoop:
     ) -> float:
         """Make the updates of one epoch and return their mean loss."""
         self.module.train()
-        parameters = [each for group in optimiser.param_groups for each in group['params']]
+        (group,) = optimiser.param_groups
+        parameters = group['params']
         updates = max(self.processes.smallest(stage.updates()), 1)
         total, count = 0.0, 0
         device = parameters[0].device.type
         losses = stage.losses(random)
         while True:
             part = (self.progress.epoch + min(count / updates, 1.0)) / stage.epochs
-            factor = schedule_factor(self.schedule, part)
-            for group in optimiser.param_groups:
-                group['lr'] = stage.rate * factor
+            group['lr'] = stage.rate * schedule_factor(self.schedule, part)
             with torch.autocast(device, torch.bfloat16, enabled=self.mixed or device == 'cuda'):
                 loss = next(losses, None)
-            if loss is None:
+            if not self.processes.smallest(int(loss is not None)) or loss is None:
                 break
             optimiser.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
@@ -367,7 +380,6 @@ class TrainingLoop:
                 raise TrainingError(
                     f'the loss of stage {stage.name} became NaN', remedy='lower its learning rate'
                 )
-        self.processes.average_buffers(self.module)
         return total / max(count, 1)
 
     @torch.no_grad()

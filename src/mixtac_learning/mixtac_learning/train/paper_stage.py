@@ -28,7 +28,6 @@ from mixtac_learning.paper.layers import SAME, Scale
 from mixtac_learning.paper.networks import (
     CYCLE_US,
     EventsOnly,
-    FeatureFusion,
     FgerPaper,
     FrameModel,
     PaperNetwork,
@@ -44,7 +43,7 @@ from mixtac_learning.paper.samples import (
     run_samples,
 )
 from mixtac_learning.train.config import check_settings
-from mixtac_learning.train.loop import Processes, Stage, TrainingError, TrainingLoop
+from mixtac_learning.train.loop import Processes, Stage, TrainingLoop
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,25 +116,15 @@ class PaperStage(Stage):
     """What the stages of one network share.
 
     Attributes:
-        name: `frames`, `events`, `recurrent` or `joint`.
-        epochs: Epochs.
-        rate: Largest learning rate.
         network: The network.
-        samples: Trials to train on; of these, `own` are this process's.
+        samples: Trials to train on.
         settings: The recipe.
-        processes: Processes that share the training.
-        own: Indices of this process's trials.
         checked: Trials to validate on.
     """
 
-    name: str
-    epochs: int
-    rate: float
     network: Any
     samples: Sequence[PaperSample]
     settings: PaperTraining
-    processes: Processes
-    own: Sequence[int]
     checked: Sequence[PaperSample] = ()
     _kept: dict[Any, Any] = field(default_factory=dict)
 
@@ -198,22 +187,18 @@ class FrameStage(PaperStage):
     """Single frames in random order; features that do not learn are computed once."""
 
     def updates(self) -> int:
-        """Return the number of updates per epoch, the same in all processes."""
-        frames = len(arrivals(self.samples, self.own))
-        return self.processes.smallest(max(frames // self.settings.frame_batch, 1))
+        """Return the number of updates per epoch."""
+        return max(len(arrivals(self.samples)) // self.settings.frame_batch, 1)
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
-        network, found = self.network, arrivals(self.samples, self.own)
-        known = self._encoded(self.samples, found) if 'frame' in self.frozen else None
+        network, found = self.network, arrivals(self.samples)
         order = torch.randperm(len(found), generator=random)
-        size = self.settings.frame_batch
-        for update in range(self.updates()):
-            chosen = order[update * size : (update + 1) * size]
-            if known is None:
-                features, labels = self._features(self.samples, found[chosen.numpy()])
+        for chosen in torch.split(order, self.settings.frame_batch)[: self.updates()]:
+            if 'frame' in self.frozen:
+                features, labels = (part[chosen] for part in self._encoded(self.samples))
             else:
-                features, labels = known[0][chosen], known[1][chosen]
+                features, labels = self._features(self.samples, found[chosen.numpy()])
             yield self.loss(network.force_of(features), labels)
         if isinstance(network, FgerPaper):
             network.begin_at_frames()
@@ -226,8 +211,7 @@ class FrameStage(PaperStage):
             fit_frame_scales(self.network, self.samples)
         if not self.checked:
             return None
-        found = arrivals(self.checked, range(len(self.checked)))
-        features, known = self._encoded(self.checked, found)
+        features, known = self._encoded(self.checked)
         return float((self.network.force_of(features) - known).abs().mean())
 
     def _features(
@@ -239,20 +223,17 @@ class FrameStage(PaperStage):
         return self.network.features(frames, event_frames), known
 
     @torch.no_grad()
-    def _encoded(
-        self, samples: Sequence[PaperSample], found: NDArray[np.int64]
-    ) -> tuple[Tensor, Tensor]:
+    def _encoded(self, samples: Sequence[PaperSample]) -> tuple[Tensor, Tensor]:
         """Return features and labels of all frames; kept while the features do not learn."""
-        key = (len(found), samples is self.checked)
-        if key in self._kept:
-            return tuple(self._kept[key])
-        starts = range(0, len(found), _ENCODED)
-        with self.plainly():
-            parts = [self._features(samples, found[at : at + _ENCODED]) for at in starts]
-        both = torch.cat([each for each, _ in parts]), torch.cat([each for _, each in parts])
-        if 'frame' in self.frozen:
-            self._kept[key] = both
-        return both
+        key = samples is self.checked
+        if key not in self._kept or 'frame' not in self.frozen:
+            found = arrivals(samples)
+            starts = range(0, len(found), _ENCODED)
+            with self.plainly():
+                parts = [self._features(samples, found[at : at + _ENCODED]) for at in starts]
+            self._kept[key] = tuple(torch.cat(each) for each in zip(*parts, strict=True))
+        features, labels = self._kept[key]
+        return features, labels
 
 
 _ENCODED = 256
@@ -272,15 +253,15 @@ class EventStage(PaperStage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
-        moving = self._moving(self.samples, self.own)
-        longest = [len(self.samples[trial].force) - _STRETCH for trial in self.own]
+        moving = _moving(self.samples)
+        longest = [len(sample.force) - _STRETCH for sample in self.samples]
         for _ in range(_UPDATES):
             half = self.settings.event_batch // 2
             drawn = torch.randint(len(moving), (half,), generator=random).tolist()
             chosen = [moving[index] for index in drawn]
-            for index in torch.randint(len(self.own), (half,), generator=random).tolist():
-                start = int(torch.randint(1, longest[index], (1,), generator=random))
-                chosen.append(Segment(self.own[index], start, start + _STRETCH))
+            for trial in torch.randint(len(longest), (half,), generator=random).tolist():
+                start = int(torch.randint(1, longest[trial], (1,), generator=random))
+                chosen.append(Segment(trial, start, start + _STRETCH))
             force, known = run_stretches(self.network, self.samples, chosen)
             yield self.loss(force, known)
 
@@ -288,25 +269,22 @@ class EventStage(PaperStage):
         """Return the mean absolute error of the change within stretches of changing force [N]."""
         if not self.checked:
             return None
-        moving = self._moving(self.checked, range(len(self.checked)))
+        moving = _moving(self.checked)
         with torch.no_grad():
             some = moving[:: -(-len(moving) // _ENCODED)]
             force, known = run_stretches(self.network, self.checked, some)
         return float((force[-1] - known[-1]).abs().mean())
 
-    def _moving(self, samples: Sequence[PaperSample], trials: Sequence[int]) -> list[Segment]:
-        """Return stretches in which the force changes; all stretches where it never does."""
-        every = [
-            Segment(trial, start, start + _STRETCH)
-            for trial in trials
-            for start in range(1, len(samples[trial].force) - _STRETCH, _STRETCH // 5)
-        ]
-        found = [
-            s
-            for s in every
-            if abs(samples[s.trial].force[s.stop - 1] - samples[s.trial].force[s.start]) > _MOVES_N
-        ]
-        return found or every
+
+def _moving(samples: Sequence[PaperSample]) -> list[Segment]:
+    """Return stretches in which the force changes; all stretches where it never does."""
+    every, found = [], []
+    for trial, sample in enumerate(samples):
+        for start in range(1, len(sample.force) - _STRETCH, _STRETCH // 5):
+            every.append(Segment(trial, start, start + _STRETCH))
+            if abs(sample.force[start + _STRETCH - 1] - sample.force[start]) > _MOVES_N:
+                found.append(every[-1])
+    return found or every
 
 
 def run_stretches(
@@ -324,27 +302,20 @@ def run_stretches(
     Returns:
         Estimated and true force [N], float32 [windows, stretches].
     """
-    recurrence, config = network.recurrence, replace(network.config, model='events')
     state = network.initial_state(len(chosen))
     device = state.force.device
-    batch = assemble(samples, chosen, config).to(device)
+    batch = assemble(samples, chosen, replace(network.config, model='events')).to(device)
     before = [float(samples[s.trial].force[s.start - 1]) for s in chosen]
     state = state._replace(force=torch.tensor(before, device=device))
-    features, forces = recurrence.features(batch), []
-    with torch.autocast(device.type, enabled=False):
-        for each in features:
-            state = recurrence.step(each, state)
-            forces.append(state.force)
-    return torch.stack(forces), batch.force
+    return network.recurrence(batch, state)[0], batch.force
 
 
 class RecurrentStage(PaperStage):
     """Truncated back-propagation through whole trials side by side, the state carried along."""
 
     def updates(self) -> int:
-        """Return the usual number of updates per epoch, the same in all processes."""
-        steps = [-(-len(self.samples[group[0]].force) // self._windows) for group in self._groups()]
-        return self.processes.smallest(sum(steps))
+        """Return the usual number of updates per epoch."""
+        return sum(-(-len(self.samples[g[0]].force) // self._windows) for g in self._groups())
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch, group by group in random order."""
@@ -379,7 +350,7 @@ class RecurrentStage(PaperStage):
             with self.plainly():
                 parts = [self.network.frame(part) for part in torch.split(frames, _ENCODED)]
             self._kept[trial] = np.asarray(torch.cat(parts).cpu().numpy(), np.float32)
-        return [self._kept[trial] for trial in range(len(self.samples))]
+        return list(self._kept.values())
 
     @property
     def _windows(self) -> int:
@@ -387,7 +358,7 @@ class RecurrentStage(PaperStage):
 
     def _groups(self) -> list[list[int]]:
         """Return trials that run side by side, the longest first."""
-        order = sorted(self.own, key=lambda trial: -len(self.samples[trial].force))
+        order = sorted(range(len(self.samples)), key=lambda k: -len(self.samples[k].force))
         size = self.settings.group_trials
         return [order[first : first + size] for first in range(0, len(order), size)]
 
@@ -421,16 +392,16 @@ def fit_frame_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> N
         return
     device = next(network.parameters()).device
     batch = frame_batch(samples, _some(samples), network.config)
-    frames, event_frames, _ = (part.to(device) for part in batch)
-    network.frame.scale.reset()
-    network.frame.scale.fit(network.frame(frames))
-    if isinstance(network, FeatureFusion):
-        network.events.scale.reset()
-        network.events.scale.fit(network.events(event_frames))
+    parts: list[tuple[Any, Tensor]] = [(network.frame, batch.frames)]
+    if network.config.model == 'fusion':
+        parts.append((network.events, batch.event_frames))
+    for part, inputs in parts:
+        part.scale.reset()
+        part.scale.fit(part(inputs.to(device)))
 
 
 def _some(samples: Sequence[PaperSample]) -> NDArray[np.int64]:
-    found = arrivals(samples, range(len(samples)))
+    found = arrivals(samples)
     return found[:: -(-len(found) // _FITTED)]
 
 
@@ -466,9 +437,7 @@ def train_paper(
     network = build(config)
     network.to(usual_device())
     fit_scales(network, samples)
-    own = processes.share(range(len(samples)))
-    if not own:
-        raise TrainingError(f'{len(samples)} trials for {processes.world} processes')
+    own = processes.share(samples)
     loop = TrainingLoop(
         network,
         seed=settings.seed,
@@ -479,20 +448,21 @@ def train_paper(
         mixed=settings.mixed,
         **options,
     )
-    recurrent = not isinstance(network, FrameModel)
-    plan: list[tuple[type[PaperStage], str, bool]] = [
-        (FrameStage, 'frame', not isinstance(network, EventsOnly)),
-        (EventStage, 'event', recurrent),
-        (RecurrentStage, 'recurrent', recurrent),
-        (RecurrentStage if recurrent else FrameStage, 'joint', True),
+    plan: list[tuple[type[PaperStage], str, int, float]] = []
+    if not isinstance(network, EventsOnly):
+        plan.append((FrameStage, 'frames', settings.frame_epochs, settings.frame_rate))
+    if isinstance(network, FrameModel):
+        plan.append((FrameStage, 'joint', settings.joint_epochs, settings.joint_rate))
+    else:
+        plan += [
+            (EventStage, 'events', settings.event_epochs, settings.event_rate),
+            (RecurrentStage, 'recurrent', settings.recurrent_epochs, settings.recurrent_rate),
+            (RecurrentStage, 'joint', settings.joint_epochs, settings.joint_rate),
+        ]
+    stages = [
+        kind(name, epochs, rate, network, own, settings, checked)
+        for kind, name, epochs, rate in plan
+        if epochs
     ]
-    stages = []
-    for kind, name, has in plan:
-        epochs, rate = (getattr(settings, f'{name}_{each}') for each in ('epochs', 'rate'))
-        if has and epochs:
-            title = {'frame': 'frames', 'event': 'events'}.get(name, name)
-            stages.append(
-                kind(title, epochs, rate, network, samples, settings, processes, own, checked)
-            )
     loop.run(stages)
     return network.cpu().eval(), loop.progress.curves

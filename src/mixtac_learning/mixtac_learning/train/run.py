@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from mixtac_core.events.errors import MixtacError
@@ -36,9 +35,9 @@ from mixtac_learning.train.frame_stage import DiskGroups
 from mixtac_learning.train.loop import Processes, Show
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.stages import train_fger
-from mixtac_learning.trials.bags import bag_sources
+from mixtac_learning.trials.bags import TrialSource, bag_sources
 from mixtac_learning.trials.samples import Recipe, fger_recipe, load_sample, prepare
-from mixtac_learning.trials.trial import DatasetError, SimulatedSource, TrialSource, sensor_of
+from mixtac_learning.trials.trial import DatasetError, SimulatedSource, sensor_of
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
     TRAINING_PROFILES,
@@ -137,10 +136,9 @@ def provenance(
         found['start'] = config.start
     if config.data.bags:
         found['bags'] = sorted(str(origin.get('name')) for origin in origins)
-    for key, plural in (('device_seed', 'device_seeds'), ('trial_seed', 'trial_seeds')):
-        seeds = sorted(int(origin[key]) for origin in origins if key in origin)
-        if seeds:
-            found[plural] = [seeds[0], seeds[-1]]
+    for key in ('device_seed', 'trial_seed'):
+        if seeds := sorted(int(origin[key]) for origin in origins if key in origin):
+            found[f'{key}s'] = [seeds[0], seeds[-1]]
     return found
 
 
@@ -259,14 +257,13 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         MixtacError: As `train_model`, or a file cannot be written.
     """
     processes = Processes.join()
-    console = Console(quiet=not processes.leads, markup=False)
     # Small networks: more threads wait for each other longer than they help.
     torch.set_num_threads(1)
     if folder is None:
         digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
         folder = Path('runs') / f'train_{config.model}_{digest}'
     try:
-        with Progress(console=console) as progress:
+        with Progress(disable=not processes.leads) as progress:
             bars: dict[str, TaskID] = {}
 
             def show(name: str, done: int, total: int, text: str) -> None:
@@ -276,15 +273,13 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
 
             trained = train_model(config, folder, jobs=jobs, show=show, processes=processes)
         if processes.leads:
-            show_skipped(console, trained.skipped)
-            _judge_and_write(console, config, trained, json)
+            show_skipped(trained.skipped)
+            _judge_and_write(config, trained, json)
     finally:
         processes.leave()
 
 
-def _judge_and_write(
-    console: Console, config: RunConfig, trained: Trained, json: Path | None
-) -> None:
+def _judge_and_write(config: RunConfig, trained: Trained, json: Path | None) -> None:
     """Write a model, judge it, and write it again with its figures."""
     # The weights first: training took its time, and not every model can be judged.
     save_model(Path(config.out), trained.model)
@@ -292,13 +287,13 @@ def _judge_and_write(
     try:
         metrics = judge_trained(config, trained)
     except MixtacError as error:
-        console.print(f'not judged: {error}', style='yellow', highlight=False)
+        print(f'not judged: {error}')
     for title, figures in metrics.items():
         where = ', trials held back' if config.start else ''
-        show_figures(console, title.replace('_', ' ') + where, figures)
+        show_figures(title.replace('_', ' ') + where, figures)
     training = trained.model.card.training
     save_model(Path(config.out), replace(trained.model, card=ModelCard(training, metrics)))
-    console.print(f'wrote {config.out}')
+    print(f'wrote {config.out}')
     content = {'model': config.out, 'run': asdict(config), 'training': training}
     write_json(json, content | {'metrics': metrics})
 
@@ -308,8 +303,8 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
 
     Returns:
         Figures by profile: of an adapted model on the trials that were held back, `before` and
-        `after`; of one that was trained on simulated trials on fresh days of sensors that were
-        trained on, `seen_devices`, and on others, `unseen_devices`; else nothing.
+        `after`; of one that was trained on simulated trials on other sensors, `unseen_devices`;
+        else nothing.
 
     Raises:
         MixtacError: The model gives no estimate, or sees no press.
@@ -323,15 +318,6 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
         }
     if data is None or config.judged < 1:
         return {}
-    preset = data.presets[0]
-    origins = [source.origin for source in trained.sources]
-    # By another preset the same seed is another sensor; bags need not name either.
-    known = sorted({each['device_seed'] for each in origins if each.get('preset') == preset})
-    most = -(-config.judged // 2)
-    seen = known[:: max(len(known) // most, 1)][:most]
-    plan = {'seen_devices': (seen, 0), 'unseen_devices': (unseen_devices(config.judged, 0), 1)}
-    return {
-        name: judge_devices(estimator, devices, EVALUATION_SECONDS, seed, preset)[1]
-        for name, (devices, seed) in plan.items()
-        if devices
-    }
+    devices, preset = unseen_devices(config.judged, 0), data.presets[0]
+    _, figures = judge_devices(estimator, devices, EVALUATION_SECONDS, 1, preset)
+    return {'unseen_devices': figures}

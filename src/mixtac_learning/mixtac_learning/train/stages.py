@@ -22,12 +22,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mixtac_fger.config import FgerConfig, ModelError
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import SPREAD_WINDOWS
 from mixtac_fger.shear import ShearHead
 from mixtac_learning.network import (
     Course,
-    DeviationHead,
     FgerNetwork,
     FrameSlots,
     SequenceState,
@@ -145,12 +144,11 @@ def _starts(force: Tensor, valid: Tensor) -> Tensor:
     found = []
     for window, trial in torch.nonzero(rising).tolist():
         start = window - WINDOWS_BEFORE
-        if start < 0 or window + WINDOWS_AFTER > len(force):
-            continue
-        # The first windows of the impact itself rise from zero.
-        before = force[start : window - 2, trial]
-        if float(before.abs().max()) < RELEASED_N:
-            found.append((start, trial))
+        if start >= 0 and window + WINDOWS_AFTER <= len(force):
+            # The first windows of the impact itself rise from zero.
+            before = force[start : window - 2, trial]
+            if float(before.abs().max()) < RELEASED_N:
+                found.append((start, trial))
     return torch.tensor(found, dtype=torch.int64, device=force.device).reshape(-1, 2)
 
 
@@ -177,7 +175,7 @@ class SequenceStage(FgerStage):
         """Return what is trained."""
         network = self.model.network
         without = set() if self.joint else {id(p) for p in frame_parameters(network)}
-        if network.deviation is not None:
+        if network.config.deviation_size:
             without |= {id(p) for p in network.deviation.parameters()}
         return [p for p in network.parameters() if id(p) not in without]
 
@@ -190,8 +188,7 @@ class SequenceStage(FgerStage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch, group by group in random order."""
-        groups = self.processes.smallest(len(self.groups))
-        for group in torch.randperm(groups, generator=random).tolist():
+        for group in torch.randperm(len(self.groups), generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
             flip = draw_flips(self.settings, random)
             frozen = None
@@ -203,8 +200,6 @@ class SequenceStage(FgerStage):
                 frozen = self._features[group, flip]
             state = self.model.network.initial_state(sequences.force.shape[1])
             cut_out = impacts(sequences) if self.settings.blow_every else None
-            if not self.processes.smallest(int(cut_out is not None)):
-                cut_out = None
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
                     # Each impact from no contact on.
@@ -291,15 +286,6 @@ class Errors(NamedTuple):
     error: Tensor
     trials: int
 
-    def some(self, rows: Tensor) -> Errors:
-        """Return some of the windows."""
-        hidden, force, moved, error = (part[rows] for part in self[:4])
-        return Errors(hidden, force, moved, error, self.trials)
-
-    def log_deviation(self, head: DeviationHead) -> Tensor:
-        """Return the output of an uncertainty head before its scale [log N], [N]."""
-        return head.log_deviation(self.hidden, self.force, self.moved)
-
 
 @dataclass(eq=False)
 class DeviationStage(FgerStage):
@@ -312,32 +298,21 @@ class DeviationStage(FgerStage):
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights of the head."""
-        return list(head_of(self.model.network).parameters())
+        return list(self.model.network.deviation.parameters())
 
     def updates(self) -> int:
         """Return the number of updates per epoch."""
-        return self.processes.smallest(-(-len(self.errors.error) // _BATCH))
+        return -(-len(self.errors.error) // _BATCH)
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch in random order."""
-        errors, head = self.errors, head_of(self.model.network)
+        errors, head = self.errors, self.model.network.deviation
         order = shuffled(len(errors.error), random)
-        for chosen in torch.split(order, _BATCH)[: self.updates()]:
-            part = errors.some(chosen)
-            log_deviation = part.log_deviation(head)
-            ratio = part.error.abs() * torch.exp(-log_deviation)
+        for chosen in torch.split(order, _BATCH):
+            hidden, force, moved, error = (part[chosen] for part in errors[:4])
+            log_deviation = head.log_deviation(hidden, force, moved)
+            ratio = error.abs() * torch.exp(-log_deviation)
             yield torch.Tensor((log_deviation + ratio).mean())
-
-
-def head_of(network: FgerNetwork) -> DeviationHead:
-    """Return the uncertainty head.
-
-    Raises:
-        ModelError: There is none.
-    """
-    if network.deviation is None:
-        raise ModelError('this network has no uncertainty head: set deviation_size above 0')
-    return network.deviation
 
 
 @torch.no_grad()
@@ -365,8 +340,8 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
     """Set the head's scale so that one deviation covers `COVERED` of a further trial; return it."""
     from scipy.stats import t as student
 
-    head = head_of(network)
-    ratio = errors.error.abs() * torch.exp(-errors.log_deviation(head))
+    head = network.deviation
+    ratio = errors.error.abs() * torch.exp(-head.log_deviation(*errors[:3]))
     few_trials = float(student.ppf(0.5 * (1.0 + COVERED), errors.trials))
     scale = few_trials * float(torch.quantile(ratio, COVERED))
     head.scale.fill_(max(scale, 1e-3))
@@ -464,7 +439,7 @@ def train_fger(
     model = NetworkWithGains(config, groups.devices, start)
     if start is None:
         model.fit_scales(groups.load(0))
-    processes.average_buffers(model)
+    processes.average_weights(model)
     model.to(usual_device())
     loop = TrainingLoop(
         model,
@@ -481,7 +456,7 @@ def train_fger(
         (DeviationStage, 'deviation', settings.deviation_epochs, settings.deviation_rate),
     ]
     stages = [
-        kind(name, epochs, rate, model, groups, settings, checked, processes)
+        kind(name, epochs, rate, model, groups, settings, checked)
         for kind, name, epochs, rate in plan
         if name != 'deviation' or config.deviation_size
     ]
@@ -493,5 +468,4 @@ def train_fger(
     if learns_across:
         held = checked if checked is not None and has_across(checked) else groups
         calibrate_shear(network, held)
-    processes.average_buffers(network)
     return network.cpu(), loop.progress.curves

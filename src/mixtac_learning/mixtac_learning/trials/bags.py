@@ -28,12 +28,12 @@ from mixtac_core.recordings.dataset import described_trial, folder_facts
 from mixtac_core.recordings.recording import NONE, DamagedRecordingError, Selection
 from mixtac_fger.alignment.bags import read_fit
 from mixtac_fger.alignment.clock_fit import ClockFit
-from mixtac_learning.trials.trial import AcrossLabel, DatasetError, ForceLabel, TrialArrays
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource, TrialArrays
 
 
 def label_on_camera_clock(
     t_us: NDArray[np.float64], values: NDArray[np.float64], what: str
-) -> tuple[ForceLabel, AcrossLabel]:
+) -> tuple[ForceLabel, ForceLabel]:
     """Return the normal force and the force across it in the order of time.
 
     Args:
@@ -50,7 +50,7 @@ def label_on_camera_clock(
         raise DatasetError(f'{what} holds values that are not finite: check the force sensor')
     order = np.argsort(t_us, kind='stable')
     times, sorted_values = t_us[order], values[order]
-    across = AcrossLabel(times, sorted_values[:, [0, 1, 3]])
+    across = ForceLabel(times, sorted_values[:, [0, 1, 3]])
     return ForceLabel(times, sorted_values[:, 2].copy()), across
 
 
@@ -71,12 +71,8 @@ def host_to_camera_us(
     table = np.array(pairs, np.int64)
     since = (host_ns - table[0, 0]) / 1000.0
     host, ahead = (table[:, 0] - table[0, 0]) / 1000.0, (table[:, 1] - table[:, 0]) / 1000.0
-    if len(table) == 1:
-        offset = np.full(len(since), ahead[0])
-    else:
-        # A line: single pairs carry the jitter of USB transfers.
-        slope, start = np.polyfit(host, ahead, 1)
-        offset = start + slope * since
+    # A line: single pairs carry the jitter of USB transfers.
+    offset = np.polyval(np.polyfit(host, ahead, min(len(table) - 1, 1)), since)
     return np.asarray(table[0, 0] / 1000.0 + since + offset, np.float64)
 
 
@@ -88,7 +84,7 @@ _CAMERA_CLOCK = '/camera_clock'
 
 def read_forces(
     path: Path, reference: str, *, incomplete: bool = False
-) -> tuple[ForceLabel | None, ForceLabel | None, AcrossLabel | None]:
+) -> tuple[ForceLabel | None, ForceLabel | None, ForceLabel | None]:
     """Return the true and the measured normal force of a bag on the camera clock.
 
     Beside them the true force across the normal. The true ones are None where the bag has none; the
@@ -236,6 +232,10 @@ class BagSource:
             origin=self.origin,
             gaps_us=gaps,
         )
+
+
+TrialSource = SimulatedSource | BagSource
+"""A trial that is loaded when it is needed."""
 
 
 def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], list[tuple[int, int]]]:

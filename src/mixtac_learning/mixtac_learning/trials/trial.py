@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ class ForceLabel:
 
     Attributes:
         t_us: Camera clock [us], increasing.
-        force: Normal force [N], positive when pressed.
+        force: Normal force [N], positive when pressed; or across it force x, force y [N] and torque
+            z [Nm], [n, 3], with the axes of `mixtac_fger.shear`.
     """
 
     t_us: NDArray[np.float64]
@@ -36,7 +37,8 @@ class ForceLabel:
 
     def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return the force at times on the camera clock."""
-        return np.asarray(np.interp(t_us, self.t_us, self.force), np.float32)
+        each = np.apply_along_axis(lambda column: np.interp(t_us, self.t_us, column), 0, self.force)
+        return np.asarray(each, np.float32)
 
     def mean(self, start_us: NDArray[np.int64], end_us: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the mean force from `start_us` to `end_us` (trapezoids on the curve's samples)."""
@@ -44,23 +46,6 @@ class ForceLabel:
         integral = np.concatenate([[0.0], np.cumsum(steps)])
         start, end = (np.interp(t, self.t_us, integral) for t in (start_us, end_us))
         return np.asarray((end - start) / np.maximum(end_us - start_us, 1), np.float32)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AcrossLabel:
-    """The force across the normal, as a curve; axes of `mixtac_fger.shear`.
-
-    Attributes:
-        t_us: Camera clock [us], increasing.
-        values: Force x, force y [N], torque z [Nm], float64 [n, 3].
-    """
-
-    t_us: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-    def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the values at times on the camera clock, [n, 3]."""
-        return np.stack([np.interp(t_us, self.t_us, column) for column in self.values.T], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +72,7 @@ class TrialArrays:
     arrival_us: NDArray[np.int64]
     truth: ForceLabel | None
     reference: ForceLabel | None
-    across: AcrossLabel | None = None
+    across: ForceLabel | None = None
     origin: dict[str, Any] = field(default_factory=dict)
     gaps_us: Sequence[tuple[int, int]] = ()
 
@@ -115,36 +100,10 @@ def sensor_of(origin: Mapping[str, Any], otherwise: str) -> str:
     """Return which sensor a trial was made with, by where it came from.
 
     Args:
-        origin: `TrialSource.origin`.
+        origin: `origin` of the source of the trial.
         otherwise: Returned where that is not known.
     """
     return str(origin.get('device_seed', origin.get('sensor', otherwise)))
-
-
-class TrialSource(Protocol):
-    """A trial that can be loaded when it is needed."""
-
-    @property
-    def name(self) -> str:
-        """Name for messages and file names."""
-
-    @property
-    def origin(self) -> dict[str, Any]:
-        """Facts known before loading: device, profile, path."""
-
-    def content_key(self) -> str:
-        """Return a text that changes when the content of the trial does.
-
-        Raises:
-            MixtacError: It cannot be read.
-        """
-
-    def load(self) -> TrialArrays:
-        """Return the trial.
-
-        Raises:
-            MixtacError: It cannot be used; the text gives the reason.
-        """
 
 
 def window_ends(
@@ -242,6 +201,6 @@ class SimulatedSource:
             arrival_us=trial.arrival_us,
             truth=ForceLabel(truth_us, trial.truth['fz'].astype(np.float64)),
             reference=ForceLabel(reference_us, trial.reference_wrench[:, 2].astype(np.float64)),
-            across=AcrossLabel(truth_us, truth_wrench(trial.truth)[:, [0, 1, 5]]),
+            across=ForceLabel(truth_us, truth_wrench(trial.truth)[:, [0, 1, 5]]),
             origin=self.origin,
         )

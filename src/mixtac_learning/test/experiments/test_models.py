@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_learning.experiments.harness import FULL, TABLE_SIZES, run_config
+from mixtac_learning.experiments import model
+from mixtac_learning.experiments.harness import PAPER_SIZES, TABLE_SIZES, run_config
 from mixtac_learning.experiments.models import (
     PROFILES,
     PROTOCOLS,
@@ -77,10 +78,10 @@ def test_a_session_has_its_own_training(model, kind):
 
 
 def test_tests_are_other_days_of_the_sensor_that_was_trained_on():
-    sensors = set()
+    full, sensors = PAPER_SIZES['full'], set()
     for seed in range(3):
-        trained = [source.spec for source in training_sources(training_data(FULL, seed))]
-        tested = [spec for name in PROFILES for spec in test_trials(FULL, seed, name)]
+        trained = [source.spec for source in training_sources(training_data(full, seed))]
+        tested = [spec for name in PROFILES for spec in test_trials(full, seed, name)]
         (device,) = {spec.device_seed for spec in trained}
         assert {spec.device_seed for spec in tested} == {device}
         days = [spec.trial_seed for spec in tested]
@@ -88,3 +89,31 @@ def test_tests_are_other_days_of_the_sensor_that_was_trained_on():
         assert not set(days) & {spec.trial_seed for spec in trained}
         sensors.add(device)
     assert len(sensors) == 3
+
+
+def test_paper_network_is_counted_and_timed(monkeypatch):
+    monkeypatch.setattr(model, 'REPETITIONS', 2)
+    parameters, operations, interval, packet = model.paper_rows()
+    assert parameters.ours.mean == pytest.approx(parameters.paper, rel=0.005)
+    assert operations.ours.mean == pytest.approx(operations.paper, rel=0.01)
+    assert not parameters.simulated
+    assert interval.ours.mean > 0.0
+    assert packet.ours.mean > 0.0
+    assert interval.ours.count == packet.ours.count == 2
+
+
+def test_steps_have_a_median_and_a_percentile_of_their_own_number(monkeypatch):
+    times = np.linspace(0.0, 1.0, 101).tolist()
+    monkeypatch.setattr(model, 'step_times_ms', lambda _seconds: (times, [2.0] * 7))
+    steps = [row for row in model.our_rows(1.0) if ' step' in row.name]
+    assert [row.ours.mean for row in steps] == pytest.approx([0.5, 0.99, 2.0, 2.0])
+    assert {row.ours.spread for row in steps} == {0.0}
+    assert [row.paper for row in steps] == [model.LATENCY_MS, None, None, None]
+    assert all('101' in row.conditions for row in steps[:2])
+
+
+def test_each_window_and_each_frame_after_the_reference_is_timed():
+    window_ms, frame_ms = model.step_times_ms(2.6)
+    assert len(window_ms) > 1000
+    assert 45 < len(frame_ms) < 70
+    assert min(window_ms) > 0.0

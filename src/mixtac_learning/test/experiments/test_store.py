@@ -11,9 +11,7 @@ import pytest
 from rich.progress import Progress
 
 from mixtac_learning.experiments import harness
-from mixtac_learning.experiments.harness import QUICK, Context
-from mixtac_learning.experiments.slip import TrialPlan
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_learning.experiments.harness import PAPER_SIZES, Context
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,7 +32,7 @@ def log(tmp_path):
 
 @pytest.fixture
 def context(tmp_path):
-    return Context(QUICK, tmp_path, 1, 1, Progress(disable=True))
+    return Context(PAPER_SIZES['quick'], tmp_path, 1, 1, Progress(disable=True))
 
 
 def test_results_come_in_order_and_only_missing_ones_are_computed(context, log):
@@ -64,18 +62,3 @@ def test_changed_code_is_computed_again(context, log, tmp_path, monkeypatch):
         context.run('all', square, [(1, log)])
     harness.code_version.cache_clear()
     assert log.read_text().split() == ['1', '1']
-
-
-def plan_seed(plan: TrialPlan, log: Path) -> int:
-    return square(plan.seed, log)
-
-
-def test_other_settings_of_a_trial_are_computed_anew(context, log):
-    settings = SlipControlParameters()
-    plans = [
-        TrialPlan(),
-        TrialPlan(preset='easy'),
-        TrialPlan(settings=replace(settings, law='paper')),
-    ]
-    context.run('all', plan_seed, [(plan, log) for plan in (*plans, TrialPlan(settings=settings))])
-    assert len(log.read_text().split()) == 3

@@ -43,7 +43,7 @@ def shown(kind, size_mm):
     """Return the spectra of half a second at 70 Hz."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))
-        return spectra(*shake(kind, 70.0, size_mm, 611))
+        return spectra(*shake(kind, size_mm, 70.0, 611))
 
 
 def test_pressed_in_the_count_repeats_twice_per_period_and_flow_once():

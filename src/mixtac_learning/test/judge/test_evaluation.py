@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from mixtac_fger.weights import ModelCard, write_model
+from mixtac_learning.commands import evaluate
 from mixtac_learning.judge import report as evaluation
 from mixtac_learning.judge.estimators import trial_estimator
-from mixtac_learning.judge.report import SERIES
 from mixtac_learning.trials.trial import DatasetError, TrialArrays
 
 
@@ -59,14 +59,15 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(
     write_model(path, replace(model, card=ModelCard({'bags': ['a', 'b']})))
     bags = [Path('one.bag'), Path('folder')]
     series = tmp_path / 'forces.csv'
-    evaluation.run_evaluation(path, bags, reference='/w', json=out, series=series)
+    evaluate(bags, str(path), reference='/w', json=out, series=series)
     warnings = capsys.readouterr().err
     assert 'its end is missing' in warnings
     assert 'trained on bags of these names: b\n' in warnings
     content = json.loads(out.read_text())
-    assert content['bags'] == [row['bag'] for row in content['rows']] == ['one.bag', 'b']
+    assert content['bags'] == ['one.bag', 'b']
+    assert [row['bag'] for row in content['rows']] == ['one.bag', 'folder/b']
     rows = list(csv.reader(series.read_text().splitlines()))
-    assert {len(row) for row in rows} == {len(SERIES)}
+    assert {len(row) for row in rows} == {7}
     assert {row[0] for row in rows[1:]} == {'one.bag', 'b'}
     assert all((row[4] == '1') == (row[5] == 'TRUSTED') for row in rows[1:])
     estimates = trial_estimator(model)(trial)
@@ -79,7 +80,7 @@ def test_bags_of_one_name_are_told_apart_by_their_folders(model, trial, tmp_path
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, model)
-    evaluation.run_evaluation(path, [tmp_path], json=out)
+    evaluate([tmp_path], str(path), json=out)
     assert json.loads(out.read_text())['bags'] == ['static_a', 'dynamic_a', 'b']
 
 
@@ -91,6 +92,6 @@ def test_a_folder_of_training_bags_is_refused_with_their_number(
     path = tmp_path / 'm.safetensors'
     write_model(path, model)
     with pytest.raises(DatasetError) as caught:
-        evaluation.run_evaluation(path, [tmp_path])
+        evaluation.judge_bags(path, [tmp_path])
     assert ' 2 ' in str(caught.value)
     assert caught.value.remedy

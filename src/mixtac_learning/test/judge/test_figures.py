@@ -4,17 +4,25 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.judge.metrics import by_profile, peak_error, summarise, trial_row
+from mixtac_learning.judge.metrics import (
+    by_profile,
+    fit_scale,
+    measure,
+    peak_error,
+    summarise,
+    trial_row,
+)
 from mixtac_learning.judge.report import draw_trials, show_figures
+from mixtac_learning.trials.trial import DatasetError
 
 STEP_S = 0.002
 
@@ -91,12 +99,12 @@ def test_a_row_of_a_bag_worked_out_by_hand():
     assert bare['frames_held_mae_n'] is bare['coverage_95'] is bare['falsely_invalid'] is None
 
 
-def test_figures_are_shown_by_profile():
-    text = io.StringIO()
+def test_figures_are_shown_by_profile(capsys):
     rows = {'press': {'mae': 0.1234, 'rmse': 0.2}, 'all': {'mae': 0.3}}
-    show_figures(Console(file=text, width=80), 'trials', rows)
-    assert all(each in text.getvalue() for each in ('press', 'all', '0.123', '0.200', '0.300'))
-    assert 'r2' not in text.getvalue()
+    show_figures('trials', rows)
+    text = capsys.readouterr().out
+    assert all(each in text for each in ('press', 'all', '0.123', '0.200', '0.300'))
+    assert 'r2' not in text
 
 
 def test_trials_are_drawn(tmp_path):
@@ -104,3 +112,41 @@ def test_trials_are_drawn(tmp_path):
     path = tmp_path / 'new' / 'trials.png'
     draw_trials(path, 'a title', [estimate(known, known, p) for p in ('press', 'press', 'static')])
     assert path.read_bytes()[:4] == b'\x89PNG'
+
+
+def test_figures_of_a_case_worked_out_by_hand():
+    found = measure(np.array([0.0, 1.0, 2.0, 5.0]), np.array([0.0, 2.0, 2.0, 3.0]))
+    assert found['mae'] == 0.75
+    assert found['rmse'] == pytest.approx(np.sqrt(5 / 4))
+    assert found['r2'] == pytest.approx(1 - 5 / 14)
+    assert found['constant_mae'] == 1.5
+    assert (found['peak_truth'], found['peak_estimate'], found['samples']) == (5.0, 3.0, 4)
+
+
+def test_a_constant_truth_has_no_r2():
+    assert 'r2' not in measure(np.ones(3), np.zeros(3))
+
+
+@given(st.floats(0.3, 3.0), st.integers(0, 100))
+def test_the_scale_is_found_despite_noise_and_a_lost_stretch(scale, seed):
+    random = np.random.default_rng(seed)
+    truth = np.abs(np.sin(np.linspace(0, 9, 2000)))
+    estimate = truth / scale + random.normal(0, 0.01, truth.size)
+    estimate[500:550] *= 3.0
+    assert fit_scale(estimate, truth) == pytest.approx(scale, rel=0.03)
+
+
+def test_the_scale_makes_the_mean_absolute_error_smallest():
+    random = np.random.default_rng(1)
+    truth = random.uniform(0.2, 1.0, 500)
+    estimate = truth * random.uniform(0.5, 1.5, 500)
+    found = fit_scale(estimate, truth)
+    smallest = np.mean(np.abs(found * estimate - truth))
+    for other in (0.97, 1.0 / found, 1.03):
+        assert np.mean(np.abs(other * found * estimate - truth)) >= smallest
+
+
+@pytest.mark.parametrize('force', [0.05, 0.0])
+def test_forces_that_are_too_small_are_refused(force):
+    with pytest.raises(DatasetError):
+        fit_scale(np.full(500, 1.0), np.full(500, force))

@@ -1,10 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's networks in the estimator node, from a weight file that a training run wrote."""
+"""The paper's networks in the estimator node, from a weight file."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,34 +12,19 @@ from mixtac_fger.estimator import open_estimator
 from mixtac_fger.features import ImageError
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator, warm_up
-from mixtac_fger.weights import read_model, write_model
-from mixtac_learning.paper.config import MODELS
-from mixtac_learning.train.config import DataConfig, RunConfig, SimulatedData
-from mixtac_learning.train.run import train_model
-from mixtac_learning.trials.trial import SimulatedSource
+from mixtac_fger.weights import ModelCard, read_model, write_model
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import build, paper_model_of
 
 
-@pytest.fixture(scope='module', params=MODELS)
-def weights(request, tmp_path_factory, trial):
-    """Train a tiny network on toy trials for one epoch and return its weight file."""
-    folder = tmp_path_factory.mktemp(request.param)
-    data = DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(folder), checked=0.0)
-    network = {'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
-    training = {
-        'frame_epochs': 1,
-        'event_epochs': 1,
-        'recurrent_epochs': 1,
-        'joint_epochs': 0,
-        'frame_batch': 16,
-        'event_batch': 4,
-        'cycles': 10,
-    }
-    config = RunConfig(model=request.param, network=network, training=training, data=data)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SimulatedSource, 'load', lambda self: replace(trial, origin=self.origin))
-        trained = train_model(config)
-    write_model(folder / 'paper.safetensors', trained.model)
-    return folder / 'paper.safetensors'
+@pytest.fixture(scope='module', params=['fger', 'fusion'])
+def weights(request, tmp_path_factory):
+    """Return a weight file of a small network with random weights."""
+    sizes = {'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
+    config = PaperConfig.from_dict({'model': request.param} | sizes)
+    path = tmp_path_factory.mktemp(request.param) / 'paper.safetensors'
+    write_model(path, paper_model_of(build(config), ModelCard({})))
+    return path
 
 
 def test_a_weight_file_becomes_an_estimator_by_its_architecture(weights):

@@ -11,9 +11,11 @@ import pytest
 import torch
 
 from mixtac_fger.config import ConfigError
-from mixtac_learning.paper.config import CORRECTIONS, MODELS, PaperConfig
+from mixtac_learning.paper.config import MODELS, PaperConfig
 from mixtac_learning.paper.layers import PointEncoder, SparseBackbone, SparseBlock
 from mixtac_learning.paper.networks import SegmentBatch, build
+from mixtac_learning.paper.samples import PaperSample, make_paper_sample, run_samples
+from mixtac_learning.train.paper_stage import fit_scales
 
 SMALL = PaperConfig(
     width=32,
@@ -48,7 +50,7 @@ def batch() -> SegmentBatch:
     )
 
 
-def algorithm_1(network, batch: SegmentBatch, column: int, correction: str) -> list[float]:
+def algorithm_1(network, batch: SegmentBatch, column: int) -> list[float]:
     """Run one sequence, line by line as the paper writes it, in NumPy where it can be."""
     weights = {name: value.detach().numpy() for name, value in network.named_parameters()}
 
@@ -81,27 +83,23 @@ def algorithm_1(network, batch: SegmentBatch, column: int, correction: str) -> l
         h = sigmoid(o) * np.tanh(c)
         f = f + perceptron('recurrence.increment', h)
         slot = int(batch.slots[window, column])
-        given = f
         if slot >= 0:
             step = perceptron('correction', np.concatenate([[f], features[slot]]))
             withheld = withheld * (1 - since / 20) + (step if latest is not None else 0.0)
             latest, since = features[slot], 0
-            f = given = f + step
-        elif correction == 'continuous' and latest is not None:
-            given = f + perceptron('correction', np.concatenate([[f], latest]))
+            f = f + step
         since += 1
-        out.append(given - withheld * (1 - since / 20) if correction == 'spread' else given)
+        out.append(f - withheld * (1 - since / 20))
     return out
 
 
-@pytest.mark.parametrize('correction', CORRECTIONS)
-def test_fger_net_is_algorithm_1(batch, correction):
+def test_fger_net_is_algorithm_1(batch):
     torch.manual_seed(0)
-    network = build(replace(SMALL, correction=correction)).eval()
+    network = build(SMALL).eval()
     with torch.no_grad():
         force, _ = network(batch, network.initial_state(SEQUENCES))
         for column in range(SEQUENCES):
-            wanted = algorithm_1(network, batch, column, correction)
+            wanted = algorithm_1(network, batch, column)
             assert force[:, column].tolist() == pytest.approx(wanted, abs=1e-5)
 
 
@@ -123,23 +121,17 @@ def test_another_lamp_and_exposure_change_nothing():
 
 def test_a_correction_is_given_out_within_one_cycle():
     torch.manual_seed(0)
-    spread = build(replace(SMALL, correction='spread')).eval()
-    network = build(replace(SMALL, correction='periodic')).eval()
-    network.load_state_dict(spread.state_dict())
+    network = build(SMALL).eval()
     events, frames = torch.zeros(1, 10), torch.rand(2, 8)
-    state = [each.initial_state(1) for each in (network, spread)]
+    state = network.initial_state(1)
     with torch.no_grad():
         for window in range(45):
             slots = torch.tensor([{0: 0, 20: 1}.get(window, -1)])
-            given = []
-            for index, each in enumerate((network, spread)):
-                arrives = bool(slots >= 0)
-                force, state[index] = each.window(
-                    events, frames, slots, state[index], arrives=arrives
-                )
-                given.append(float(force))
+            arrives = bool(slots >= 0)
+            given, state = network.window(events, frames, slots, state, arrives=arrives)
             # The first frame is used at once, the second within the 20 windows after it.
-            assert (given[0] == pytest.approx(given[1], abs=1e-6)) == (not 20 <= window < 39)
+            whole = float(given) == pytest.approx(float(state.force), abs=1e-6)
+            assert whole == (not 20 <= window < 39)
 
 
 def test_events_only_never_sees_a_frame(batch):
@@ -169,35 +161,6 @@ def test_frame_models_hold_their_force(batch, model):
     assert force[:, 1].tolist() == [*[own[3].item()] * 5, *[own[2].item()] * 4]
     assert force[:, 2].tolist() == [0.0] * WINDOWS
     assert torch.equal(state.force, force[-1])
-
-
-@pytest.mark.parametrize('model', MODELS)
-def test_stretches_give_what_the_whole_gives(batch, model):
-    torch.manual_seed(0)
-    network = build(replace(SMALL, model=model)).eval()
-    with torch.no_grad():
-        whole, _ = network(batch, network.initial_state(SEQUENCES))
-        state, parts = network.initial_state(SEQUENCES), []
-        for start, stop in ((0, 4), (4, 9)):
-            part, state = network(_cut(batch, start, stop), state)
-            parts.append(part)
-    assert torch.allclose(torch.cat(parts), whole, atol=1e-6)
-
-
-def _cut(batch: SegmentBatch, start: int, stop: int) -> SegmentBatch:
-    window = batch.packet // SEQUENCES
-    inside = (window >= start) & (window < stop)
-    before = batch.before.clone()
-    for slots in batch.slots[:start]:
-        before = torch.where(slots >= 0, slots, before)
-    fields = {name: getattr(batch, name) for name in batch.__slots__}
-    fields |= {
-        'points': batch.points[inside],
-        'packet': batch.packet[inside] - start * SEQUENCES,
-        'slots': batch.slots[start:stop],
-        'before': before,
-    }
-    return SegmentBatch(**fields)
 
 
 def test_an_empty_packet_or_event_frame_has_no_feature():
@@ -241,18 +204,6 @@ def test_sparse_convolutions_touch_active_pixels_only():
     assert out[0, :, 0, 0].tolist() == pytest.approx(np.maximum(value * scale, 0), abs=1e-6)
 
 
-@pytest.mark.parametrize('model', MODELS)
-def test_networks_run_in_mixed_precision(batch, model):
-    torch.manual_seed(0)
-    network = build(replace(SMALL, model=model)).train()
-    with torch.autocast('cpu', torch.bfloat16):
-        force, _ = network(batch, network.initial_state(SEQUENCES))
-        loss = (force.float() - batch.force).square().mean()
-    loss.backward()
-    plain, _ = network(batch, network.initial_state(SEQUENCES))
-    assert torch.allclose(force.float(), plain, atol=0.1)
-
-
 def test_impossible_configurations_are_refused():
     with pytest.raises(ConfigError):
         PaperConfig(model='snn')
@@ -262,3 +213,31 @@ def test_impossible_configurations_are_refused():
         PaperConfig.from_dict({'depth': 3})
     config = PaperConfig(model='fusion', scale=2)
     assert PaperConfig.from_dict(config.to_dict()) == config
+
+
+SIZES = {'scale': 16, 'events_per_packet': 16, 'channels': 8, 'blocks': 1, 'lstm_size': 8}
+
+
+def cut(sample: PaperSample, windows: int) -> PaperSample:
+    return replace(
+        sample,
+        window_end_us=sample.window_end_us[:windows],
+        starts=sample.starts[: windows + 1],
+        slots=sample.slots[:windows],
+        force=sample.force[:windows],
+    )
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_trials_side_by_side_are_those_alone(trial, model):
+    config = PaperConfig.from_dict({'model': model} | SIZES)
+    whole = make_paper_sample(config, trial)
+    samples = [cut(whole, 310), whole, cut(whole, 64), cut(whole, 310), cut(whole, 0)]
+    network = build(config).eval()
+    fit_scales(network, [whole])
+    found = run_samples(network, samples)
+    alone = [run_samples(network, [each])[0] for each in samples]
+    assert [len(each) for each in found] == [len(each.force) for each in samples]
+    for together, single in zip(found, alone, strict=True):
+        assert np.allclose(together, single, atol=1e-4)
+    assert np.std(found[1]) > 0.0

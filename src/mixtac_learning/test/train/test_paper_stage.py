@@ -14,7 +14,6 @@ from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.layers import Scale
 from mixtac_learning.paper.networks import PaperNetwork, build
 from mixtac_learning.paper.samples import PaperSample, Segment, assemble, make_paper_sample
-from mixtac_learning.train.loop import Processes
 from mixtac_learning.train.paper_stage import (
     EventStage,
     FrameStage,
@@ -38,7 +37,7 @@ def samples(trial) -> list[PaperSample]:
 
 def stage(kind: type[PaperStage], name: str, network: PaperNetwork, samples, **training):
     settings = PaperTraining(**training)
-    return kind(name, 1, 1e-3, network, samples, settings, Processes(), range(len(samples)))
+    return kind(name, 1, 1e-3, network, samples, settings)
 
 
 @pytest.mark.parametrize(

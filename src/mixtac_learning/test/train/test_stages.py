@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import pytest
 import torch
@@ -15,9 +12,24 @@ from memory_groups import Groups
 
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.frame_stage import Sequences, encode
-from mixtac_learning.train.loop import Processes
-from mixtac_learning.train.stages import estimate, impacts, train_fger
+from mixtac_learning.train.frame_stage import (
+    NetworkWithGains,
+    Sequences,
+    beside_moments,
+    encode,
+    follow_moments,
+    stack,
+)
+from mixtac_learning.train.stages import (
+    FOLLOWED,
+    WINDOWS_AFTER,
+    WINDOWS_BEFORE,
+    estimate,
+    follow_frames,
+    impacts,
+    train_fger,
+)
+from mixtac_learning.trials.samples import make_sample
 
 SHORT = TrainingSettings(
     frame_epochs=5, recurrent_epochs=3, joint_epochs=1, deviation_epochs=1, frame_batch=16
@@ -79,55 +91,68 @@ def test_running_in_stretches_equals_running_at_once(config, toy_sequences, poin
     assert torch.allclose(torch.cat(parts), whole, atol=1e-5)
 
 
-@dataclass
-class Meeting:
-    """Where two threads exchange values, as processes would."""
-
-    barrier: threading.Barrier = field(default_factory=lambda: threading.Barrier(2, timeout=60))
-    brought: dict[int, tuple[str, Any]] = field(default_factory=dict)
-
-    def swap(self, rank: int, what: str, value: Any) -> list[Any]:
-        self.brought[rank] = what, value
-        self.barrier.wait()
-        found = [self.brought[each] for each in range(2)]
-        self.barrier.wait()
-        assert {name for name, _ in found} == {what}
-        return [each for _, each in found]
-
-
-@dataclass(frozen=True)
-class Member(Processes):
-    """One of two threads."""
-
-    meeting: Meeting = field(default_factory=Meeting)
-
-    def mean(self, tensor: torch.Tensor) -> torch.Tensor:
-        return torch.stack(self.meeting.swap(self.rank, 'mean', tensor.detach().clone())).mean(0)
-
-    def smallest(self, number: int) -> int:
-        return min(self.meeting.swap(self.rank, 'smallest', number))
-
-    def wait(self) -> None:
-        self.meeting.swap(self.rank, 'wait', None)
+def test_the_start_follows_the_frames(config):
+    torch.manual_seed(1)
+    network = FgerNetwork(config)
+    follow_frames(network)
+    features = torch.rand(20, config.feature_size)
+    with torch.no_grad():
+        known = network.frame.force(features)
+        for estimate in (-1.0, 0.0, 2.0):
+            before = torch.full((20,), estimate)
+            change = network.correction(torch.cat([before[:, None], features], dim=1))[:, 0]
+            wanted = FOLLOWED * (known - before)
+            assert (change - wanted).abs().max() < 0.1
+            assert torch.corrcoef(torch.stack([change, wanted]))[0, 1] > 0.8
 
 
-def test_processes_with_unequal_data_stay_in_step(config, toy_sequences):
-    trained, other = toy_sequences
-    brief = replace(SHORT, frame_epochs=1, recurrent_epochs=2, blow_every=2)
-    devices = Groups([trained]).devices
-    assert len(trained.frame_force) != len(other.frame_force)
-    blow = torch.zeros_like(trained.force)
-    blow[40:60] = 5.0
-    struck = replace(trained, force=blow)
-    assert impacts(struck) is not None
-    assert impacts(other) is None
-    data = [Groups([struck, other], devices), Groups([other], devices)]
-    meeting = Meeting()
+@pytest.fixture
+def sequences(config, trial):
+    """One trial twice, with made-up forces: zero, and blows of one window."""
+    both = stack([make_sample(config, trial) for _ in range(2)])
+    force = torch.zeros_like(both.force)
+    force[100, 0] = force[300, 0] = force[20, 0] = 8.0
+    force[200:204, 1] = 5.0
+    force[250, 1], force[300:330, 1], force[331, 1] = 2.0, 1.0, 6.0
+    return replace(both, force=force)
 
-    def train(rank: int) -> dict[str, torch.Tensor]:
-        member = Member(rank, 2, meeting)
-        found, _ = train_fger(config, brief, data[rank], processes=member)
-        return found.state_dict()
 
-    with ThreadPoolExecutor(2) as threads:
-        assert all(threads.map(train, range(2)))
+def test_blows_out_of_nothing_are_cut_out(sequences):
+    found = impacts(sequences)
+    assert found is not None
+    # Not the one at 20, which the trial begins too late for, nor the one on top of a press.
+    assert found.force.shape == (WINDOWS_BEFORE + WINDOWS_AFTER, 3)
+    for column, (start, trial) in enumerate(((70, 0), (170, 1), (270, 0))):
+        rows = slice(start, start + WINDOWS_BEFORE + WINDOWS_AFTER)
+        assert torch.equal(found.force[:, column], sequences.force[rows, trial])
+        assert torch.equal(found.event_features[:, column], sequences.event_features[rows, trial])
+        assert torch.equal(found.slots.frame[:, column], sequences.slots.frame[rows, trial])
+    assert found.device.tolist() == [0, 1, 0]
+
+
+def test_trials_without_blows_give_none(sequences):
+    assert impacts(replace(sequences, force=torch.ones_like(sequences.force))) is None
+
+
+def test_frames_begin_with_the_forces_of_their_moments(config, trial):
+    torch.manual_seed(1)
+    model = NetworkWithGains(replace(config, shear=True), 1)
+    network = model.network
+    known = stack([make_sample(config, trial)])
+    moments = torch.randn(known.frame_moments.shape)
+    across = torch.stack([2.0 * moments[:, 1] + moments[:, 3], 2.0 * moments[:, 2] + moments[:, 4]])
+    across = torch.cat([across.T, torch.zeros(len(moments), 1)], dim=1)
+    across[0] = torch.nan
+    known = replace(
+        known, frame_moments=moments, frame_force=-0.5 * moments[:, 0], frame_across=across
+    )
+    model.fit_scales(known)
+    follow_moments(network, known)
+    with torch.no_grad():
+        features = network.frame(known.frame_inputs.float(), moments)
+        torch.testing.assert_close(network.frame.force(features), known.frame_force)
+        shown = network.shear.shown(features)[1:, :2]
+        torch.testing.assert_close(shown, across[1:, :2], rtol=1e-4, atol=1e-4)
+        assert beside_moments(network, features) == 0.0
+        network.frame.head.bias += 3.0
+        torch.testing.assert_close(beside_moments(network, features), torch.tensor(3.0))

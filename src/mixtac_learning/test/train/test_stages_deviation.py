@@ -12,7 +12,7 @@ import pytest
 import torch
 from memory_groups import Groups
 
-from mixtac_fger.config import HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION, ModelError
+from mixtac_fger.config import HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION
 from mixtac_fger.recurrent_network import deviation, deviation_weights
 from mixtac_learning.network import DeviationHead, FgerNetwork, arrays_of
 from mixtac_learning.train.config import TrainingSettings
@@ -24,7 +24,6 @@ from mixtac_learning.train.stages import (
     calibrate_shear,
     collect,
     estimate,
-    head_of,
     shear_course,
     train_fger,
 )
@@ -98,15 +97,6 @@ def test_few_trials_make_it_wider():
     assert covered[3] == pytest.approx(0.683, abs=0.04)
 
 
-def test_the_compiled_head_gives_the_same_numbers(trained):
-    weights = deviation_weights(tensors_of(trained))
-    for each in torch.rand(50, STATE + 2, generator=torch.Generator().manual_seed(4)) * 6 - 3:
-        with torch.no_grad():
-            wanted = float(trained(each[:STATE], *each[STATE:]))
-        found = deviation(each[:STATE].numpy(), *each[STATE:].tolist(), weights)
-        assert found == pytest.approx(wanted, rel=1e-5)
-
-
 def test_deviations_are_bounded_and_never_infinite():
     head = DeviationHead(2, 3)
     with torch.no_grad():
@@ -160,9 +150,3 @@ def test_the_sideways_force_is_not_trained_where_no_trial_tells_it(config, toy_s
     # Held out trials that do not tell it give it no deviation of zero.
     network, _ = train_fger(shear, brief, Groups([told]), Groups([other]))
     assert (network.shear.deviation[:, 0] > 0.05).all()
-
-
-def test_a_network_without_the_head_says_so(config):
-    bare = FgerNetwork(replace(config, deviation_size=0))
-    with pytest.raises(ModelError):
-        head_of(bare)

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from memory_groups import simulation_of
 
 from mixtac_core.events.arrays import Events
 from mixtac_fger.config import FgerConfig
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.samples import event_counts, packet_points
 from mixtac_learning.train.frame_stage import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import (
     Sample,
@@ -24,7 +26,7 @@ from mixtac_learning.trials.samples import (
     make_sample,
     save_sample,
 )
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource, TrialArrays
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
     TrialSpec,
@@ -32,7 +34,6 @@ from mixtac_sim.world.plans import (
     training_plan,
     unseen_devices,
 )
-from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):
@@ -85,25 +86,13 @@ def test_labels_are_read_at_window_ends_and_averaged_over_exposures():
 
 
 def test_a_simulated_trial_has_both_forces_on_the_camera_clock(monkeypatch, trial):
-    camera_us = np.linspace(0, 1e6, 50)
-    truth = np.zeros(2, TRUTH_DTYPE)
-    truth['t_us'], truth['fz'] = [0, 1000], [0.0, 2.0]
-    wrench = np.zeros((50, 6))
-    wrench[:, 2] = camera_us * 1e-6
-    simulated = SimpleNamespace(
-        **{name: getattr(trial, name) for name in ('events', 'frames', 'arrival_us')},
-        exposure_start_us=trial.exposure_start_us,
-        exposure_end_us=trial.exposure_end_us,
-        truth=truth,
-        reference_t_us=1.0001 * camera_us + 777.0,
-        reference_wrench=wrench,
-        clock=(1.0001, 777.0),
-    )
-    monkeypatch.setattr(generation, 'simulate', lambda _spec: simulated)
+    label, clock = trial.truth, (1.0001, 777.0)
+    made = simulation_of(trial, reference_t_us=1.0001 * label.t_us + 777.0, clock=clock)
+    monkeypatch.setattr(generation, 'simulate', lambda _spec: made)
     found = SimulatedSource(TrialSpec(1, 2, 'press', 4.0)).load()
-    assert found.truth.at(np.array([500])) == pytest.approx([1.0])
-    assert found.reference.t_us == pytest.approx(camera_us, abs=1e-3)
-    assert found.reference.at(np.array([250_000])) == pytest.approx(0.25)
+    assert found.truth.force == pytest.approx(label.force, abs=1e-6)
+    assert found.reference.t_us == pytest.approx(label.t_us, abs=1e-3)
+    assert found.reference.force == pytest.approx(label.force + 0.01)
 
 
 def test_samples_survive_the_disk(tmp_path, config, trial):
@@ -194,3 +183,44 @@ def test_training_and_evaluation_never_meet(trials, gels, seed, other):
     assert not {s.device_seed for s in plan} & {s.device_seed for s in judged}
     assert not {s.trial_seed for s in plan} & {s.trial_seed for s in judged}
     assert len({(s.device_seed, s.profile) for s in judged}) == len(judged)
+
+
+@pytest.fixture
+def arrays(trial) -> TrialArrays:
+    return replace(trial, reference=None, origin={'name': 'toy', 'profile': 'press'})
+
+
+def test_labels_that_are_not_known_are_asked_for_in_vain(arrays):
+    assert arrays.label() is arrays.truth
+    measured = ForceLabel(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    assert replace(arrays, truth=None, reference=measured).label() is measured
+    with pytest.raises(DatasetError):
+        replace(arrays, truth=None).label()
+
+
+def test_packets_are_thinned_evenly_and_normalised():
+    t = np.concatenate([np.arange(0, 2000, 100), [2500, 6100]])
+    zeros = np.zeros(22, np.uint16)
+    events = Events(t, zeros + 345, zeros, np.arange(22) % 2 == 0)
+    config = PaperConfig(events_per_packet=5)
+    points, starts = packet_points(config, events, np.array([2000, 4000, 6000, 8000]))
+    assert starts.tolist() == [0, 5, 6, 6, 7]
+    assert points[:, 2] == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 0.25, 0.05], abs=1e-3)
+    assert set(points[:, 0].tolist()) == {1.0}
+    assert set(points[:, 1].tolist()) == {-1.0}
+    assert points[:, 3].tolist() == [1, 1, 1, 1, 1, 1, -1]
+
+
+def test_event_pictures_hold_every_event_inside():
+    random = np.random.default_rng(4)
+    t = np.sort(random.integers(0, 90_000, 3000))
+    x = random.integers(0, 346, 3000).astype(np.uint16)
+    y = random.integers(0, 260, 3000).astype(np.uint16)
+    polarity = random.random(3000) > 0.3
+    config = PaperConfig(scale=4)
+    counts = event_counts(config, Events(t, x, y, polarity), np.array([0, 40_000, 80_000]))
+    wanted = np.zeros((2, 2, 65, 86), int)
+    for when, column, row, on in zip(t, x, y, polarity, strict=True):
+        if when < 80_000 and column // 4 < 86:
+            wanted[when // 40_000, 0 if on else 1, row // 4, column // 4] += 1
+    assert np.array_equal(counts, wanted)
