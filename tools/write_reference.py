@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from mixtac.parameters import RecorderParameters, SupervisorParameters, ViewParameters
+from mixtac.parameters import SupervisorParameters, ViewParameters
 from mixtac_core.node.parameters import ParameterSpec, specs, yaml_scalar
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, TOPICS
 from mixtac_driver.parameters import DriverParameters
@@ -37,7 +37,6 @@ SCHEMAS: dict[str, type[Any]] = {
     'alignment': AlignmentParameters,
     'force_error': ForceErrorParameters,
     'slip_control': SlipControlParameters,
-    'recorder': RecorderParameters,
     'view': ViewParameters,
     'supervisor': SupervisorParameters,
 }

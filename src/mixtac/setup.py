@@ -20,12 +20,11 @@ setup(
     zip_safe=False,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description='The mixtac command, the Python interface of the sensor, recorder and live view',
+    description='The mixtac command, the Python interface of the sensor, and the live view',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
             'mixtac = mixtac.__main__:main',
-            'recorder_node = mixtac.recorder_node:main',
             'supervisor_node = mixtac.supervisor_node:main',
             'view_node = mixtac.view_node:main',
         ],

@@ -19,11 +19,11 @@ from rich.console import Console
 
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_axes, save_figure
 from mixtac.options import OptionalPath
-from mixtac.up import sensor_values, show, show_without_ros, start_nodes
+from mixtac.up import record_command, sensor_values, show, show_without_ros, start_nodes
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
 from mixtac_core.node.files import FileError, write_json
-from mixtac_core.node.graph import recorder, sensor_graph
+from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile
@@ -95,7 +95,7 @@ def demo(
     settings = {'seconds': seconds, 'seed': seed}
     with ProcessGroup(folder / 'log') as processes:
         waited_s = _run_graph(console, processes, folder / BAG, model, settings)
-        codes = {**processes.stop('recorder'), **processes.stop()}
+        codes = {**processes.stop('record'), **processes.stop()}
     console.print('aligning and comparing')
     report = settings | {'waited_s': waited_s} | evaluate(folder, seconds, seed)
     write_json(folder / 'demo.json', report)
@@ -129,10 +129,10 @@ def _run_graph(
         'lead_seconds': LEAD_S,
     }
     # An impact saturates the sensor for an instant, and its peak is to be seen.
-    estimator = {'invalid_force': 'publish'}
+    estimator: dict[str, object] = {'invalid_force': 'publish', 'contact': False}
     if model is not None:
         estimator['model'] = str(model.resolve())
-    # Less work for a slow host: packets as long as a window, and no inertial samples.
+    # Less work for a slow host: no contact, packets as long as a window, no inertial samples.
     driver = {
         'event_message_time_threshold': WINDOW_NS / 1e9,
         'imu_acc_enabled': False,
@@ -144,9 +144,9 @@ def _run_graph(
     nodes = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
     )
-    nodes.append(recorder(bag, exclude=(topics.CONTACT, topics.CONTACT_POINT)))
-    console.print('starting virtual sensor, driver, estimator and recorder')
+    console.print('starting virtual sensor, driver, estimator and recording')
     with Monitor(DEFAULT_NAMESPACE, processes) as monitor:
+        processes.start('record', record_command(bag, DEFAULT_NAMESPACE))
         start_nodes(processes, nodes)
         monitor.bring_up_all(nodes)
         monitor.listen()
@@ -161,7 +161,7 @@ def _run_graph(
                 return 'playing the scenario'
             return 'the scenario starts' if sensor()['plays'] == '0' else ''
 
-        monitor.wait(lambda: 'plays' in sensor() and bool(monitor.values('recorder')), 'a report')
+        monitor.wait(lambda: 'plays' in sensor() and bag.exists(), 'the recording')
         lost_us = float(sensor()['lost_us'])
         monitor.trigger('virtual_sensor/play')
         show(console, doing, lambda: sensor_values(monitor, reference=True))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the nodes recorder, view and supervisor."""
+"""Parameters of the nodes view and supervisor."""
 
 from __future__ import annotations
 
@@ -8,26 +8,6 @@ from dataclasses import dataclass
 
 from mixtac_core.node.parameters import fixed
 from mixtac_core.node.topics import REFERENCE
-
-
-@dataclass(frozen=True)
-class RecorderParameters:
-    """Parameters of the recorder node.
-
-    Attributes:
-        output: Folder of the new bag; it must not exist.
-        reference_topic: Topic of the reference force (WrenchStamped).
-        exclude: Topics that are not recorded, as docs/reference.md names them, separated by spaces;
-            what only they need is not computed.
-        profile: Kind of motion, for dataset.yaml, for example static.
-        split: Split of the recording, for dataset.yaml.
-    """
-
-    output: str = fixed('')
-    reference_topic: str = fixed(REFERENCE)
-    exclude: str = fixed('')
-    profile: str = fixed('')
-    split: str = fixed('', choices=('', 'train', 'test'))
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,7 @@ class Sensor:
             self._fger = replace(self._fger, model=model)
         self._closing = ExitStack()
         self._opening = threading.RLock()
+        # `tare` may be called from any thread, while the source's thread feeds the estimator.
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
@@ -321,7 +322,8 @@ class Sensor:
     def _on_frame(self, frame: Frame, origin_us: int) -> None:
         image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
         self._images.append((mid_us, image))
-        self._feed.push_frame(image, mid_us)
+        with self._estimating:
+            self._feed.push_frame(image, mid_us)
         control = self._source.control
         if control is not None:
             exposure_us = frame.exposure_cycles / self._identity.clocks.adc

@@ -11,6 +11,7 @@ response to a disturbance depend on the speed of the host.
 from __future__ import annotations
 
 import importlib.util
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +30,6 @@ from mixtac_core.node.graph import (
     is_virtual,
     live_view,
     node,
-    recorder,
     sensor_graph,
     slip_control,
 )
@@ -89,6 +89,12 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
         processes.check()
 
 
+def record_command(bag: Path, namespace: str) -> list[str]:
+    """Return the command that records a sensor to a new bag, from its first event packet on."""
+    words = ('record', str(bag), '--namespace', namespace, '--wait', 'inf')
+    return [sys.executable, '-m', 'mixtac', *words]
+
+
 def up(
     context: typer.Context,
     device: Annotated[
@@ -131,9 +137,9 @@ def up(
         virtual_sensor={'loop': True} if play else None,
         view=view,
     )
-    if record is not None:
-        nodes.append(recorder(record))
     with ProcessGroup() as processes:
+        if record is not None:
+            processes.start('record', record_command(record, namespace))
         start_nodes(processes, nodes, namespace, params_file, log_level)
         with Monitor(namespace, processes) as monitor:
             monitor.bring_up_all(nodes)

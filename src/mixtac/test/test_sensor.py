@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +28,7 @@ from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters
+from mixtac_fger.streaming import ForceEstimator
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.world.plans import plan_profile
 
@@ -33,8 +36,24 @@ from mixtac_sim.world.plans import plan_profile
 @pytest.fixture(scope='module')
 def seen() -> SimpleNamespace:
     """Return what a virtual sensor gave."""
-    with Sensor('virtual') as sensor:
+    taring, overlaps, push = threading.Event(), [], ForceEstimator.push_frame
+
+    def tare(_feed) -> None:
+        taring.set()
+        time.sleep(0.5)
+        taring.clear()
+
+    def push_frame(feed, *frame) -> None:
+        overlaps.append(taring.is_set())
+        push(feed, *frame)
+
+    with Sensor('virtual') as sensor, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ForceEstimator, 'push_frame', push_frame)
+        patch.setattr(ForceEstimator, 'tare', tare)
+        sensor.read()
+        sensor.tare()
         found = SimpleNamespace(
+            overlaps=overlaps,
             sensor=sensor,
             first=sensor.read(),
             second=sensor.read(),
@@ -55,6 +74,12 @@ def test_forces_come_one_after_another_and_can_be_trusted(seen):
     assert first.valid
     assert abs(first.force) < 0.05
     assert seen.serial
+
+
+@pytest.mark.live
+def test_no_frame_is_added_while_another_thread_tares(seen):
+    assert seen.overlaps
+    assert not any(seen.overlaps)
 
 
 @pytest.mark.live

@@ -286,7 +286,7 @@ class Solution:
 
 
 def calibrate(
-    views: Sequence[View], *, model: str = EQUIDISTANT, name: str = 'davis346', alpha: float = 0.0
+    views: Sequence[View], *, model: str = EQUIDISTANT, name: str = 'davis346'
 ) -> Solution:
     """Return the calibration of the camera that saw a board.
 
@@ -294,7 +294,6 @@ def calibrate(
         views: Views of one board by one camera.
         model: One of `camera_info.MODELS`.
         name: Name of the camera.
-        alpha: 0 crops rectified images to pixels that the camera sees, 1 keeps all pixels.
 
     Raises:
         CalibrationError: Unknown model.
@@ -320,7 +319,7 @@ def calibrate(
         distortion=distortion,
         camera_matrix=matrix,
         rectification=np.eye(3),
-        projection=_projection(model, matrix, distortion, (width, height), alpha),
+        projection=_projection(model, matrix, distortion, (width, height)),
     )
     return Solution(calibration, deviations, errors, kept, removed)
 
@@ -439,14 +438,12 @@ def _fit_fisheye(
     return matrix, distortion.ravel(), deviations, rms
 
 
-def _projection(
-    model: str, matrix: Floats, distortion: Floats, size: tuple[int, int], alpha: float
-) -> Floats:
-    """Return P [3, 4] of the rectified camera."""
+def _projection(model: str, matrix: Floats, distortion: Floats, size: tuple[int, int]) -> Floats:
+    """Return P [3, 4] of the rectified camera, cropped to pixels that the camera sees."""
     if model == EQUIDISTANT:
         new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            matrix, distortion, size, np.eye(3), balance=alpha
+            matrix, distortion, size, np.eye(3), balance=0.0
         )
     else:
-        new = cv2.getOptimalNewCameraMatrix(matrix, distortion, size, alpha)[0]
+        new = cv2.getOptimalNewCameraMatrix(matrix, distortion, size, 0.0)[0]
     return np.hstack([new, np.zeros((3, 1))])

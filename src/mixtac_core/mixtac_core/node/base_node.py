@@ -11,9 +11,9 @@ import gc
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any, TypeVar
 
 import rclpy
@@ -44,7 +44,7 @@ PATIENCE_S = 1.0
 """Time that a running callback has after a signal; then it is interrupted [s]."""
 CHECK_PERIOD_S = 0.2
 """Period at which a node is checked and signals are handled [s]."""
-REARM_PERIOD_S = 3.0
+REARM_PERIOD_S = 0.1 * STUCK_S
 """Period at which the watchdog is restarted, which waits for a thread to end [s]."""
 
 
@@ -84,11 +84,16 @@ class BaseNode:
         name: Name of the node.
         namespace: Its namespace; remapping (`__ns`) takes precedence.
         options: Further arguments of rclpy's node class.
+
+    Attributes:
+        progress: Called with every message; `run` has it restart the watchdog. On an overloaded
+            host, messages may keep the executor from its timers for long.
     """
 
     create_publisher: Any
     create_lifecycle_publisher: Any
     create_subscription: Any
+    progress: Callable[[], None] = staticmethod(lambda: None)
 
     def __init__(
         self,
@@ -133,8 +138,13 @@ class BaseNode:
             name: Other name for it, for example from a parameter; empty for the topic's own.
             raw: Pass the serialised message to the callback, as bytes.
         """
+
+        def received(message: Any) -> None:  # noqa: ANN401
+            self.progress()
+            callback(message)
+
         kind = message_class(topic.type_name)
-        return self.create_subscription(kind, name or topic.name, callback, qos(topic), raw=raw)
+        return self.create_subscription(kind, name or topic.name, received, qos(topic), raw=raw)
 
 
 def answering(action: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
@@ -259,6 +269,7 @@ class Signals:
         self.received = False
         self.stderr = os.dup(2)
         self._nowhere = os.open(os.devnull, os.O_WRONLY)
+        self._rearm_s = 0.0
         signal.signal(signal.SIGALRM, self._interrupt)
         for number in ENDING:
             signal.signal(number, self._receive)
@@ -275,6 +286,13 @@ class Signals:
         os.dup2(self._nowhere, 2)
         raise KeyboardInterrupt
 
+    def watch(self) -> None:
+        """Restart the watchdog, which ends the process `STUCK_S` after the last call."""
+        if (now_s := time.monotonic()) >= self._rearm_s:
+            self._rearm_s = now_s + REARM_PERIOD_S
+            # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
+            faulthandler.dump_traceback_later(STUCK_S, exit=True, file=self.stderr)
+
     def ignore(self) -> None:
         """Ignore signals while the process ends; its status would not be 0 otherwise."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -289,7 +307,7 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
     Nothing is called back any more when the node is closed, and the node is destroyed before ROS is
     shut down. A MixtacError ends the process, other failures of callbacks are logged. A callback
     that does not return ends the process after `STUCK_S` with a traceback of all threads: launch
-    files and systemd report that, and can restart the node.
+    files and systemd report that, and can restart the node. A node that is late goes on.
 
     Args:
         node_class: Makes the node; called after `rclpy.init`.
@@ -350,12 +368,11 @@ def _spin(node: Any, signals: Signals) -> None:  # noqa: ANN401
         except MixtacError as error:
             ended.set_exception(error)
 
-    # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
-    rearm = partial(faulthandler.dump_traceback_later, STUCK_S, exit=True, file=signals.stderr)
-    rearm()
+    signals.watch()
+    node.progress = signals.watch
     steady = Clock(clock_type=ClockType.STEADY_TIME)
     node.create_timer(CHECK_PERIOD_S, check, clock=steady)
-    node.create_timer(REARM_PERIOD_S, rearm, clock=steady)
+    node.create_timer(REARM_PERIOD_S, signals.watch, clock=steady)
     executor = EventsExecutor()
     executor.add_node(node)
     while rclpy.ok() and not (signals.received or ended.done()):

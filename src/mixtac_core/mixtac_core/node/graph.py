@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from typing import Any
 from mixtac_core.node.files import share
 from mixtac_core.node.parameters import yaml_scalar
 from mixtac_core.node.process import GraphError
-from mixtac_core.node.topics import Topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,19 +178,6 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
         overrides: Parameters, such as `arm` and `detector`.
     """
     return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
-
-
-def recorder(output: Path, exclude: Sequence[Topic] = ()) -> NodeSpec:
-    """Return the node that records the sensor's topics to a new bag.
-
-    Args:
-        output: Folder of the bag.
-        exclude: Topics that are not recorded; without any, as the parameter files have it.
-    """
-    overrides = {'output': str(output)}
-    if exclude:
-        overrides['exclude'] = ' '.join(each.name for each in exclude)
-    return node('mixtac', 'recorder', overrides=overrides)
 
 
 def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:

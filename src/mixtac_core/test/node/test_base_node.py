@@ -25,10 +25,14 @@ NODE = textwrap.dedent(
     import time
     from dataclasses import dataclass
     from rclpy.node import Node
+    from std_msgs.msg import Empty
     from mixtac_core.events.errors import MixtacError
     from mixtac_core.node.base_node import BaseNode, declare, run
     from mixtac_core.node.diagnostics import OK, DiagnosticsPublisher, Status
     from mixtac_core.node.parameters import parameter
+    from mixtac_core.node.topics import Topic
+
+    BURST = 150
 
     @dataclass(frozen=True)
     class Example:
@@ -52,12 +56,29 @@ NODE = textwrap.dedent(
             if self.values.device == 'stuck':
                 # Holds the interpreter's lock, as a call that hangs in the middleware does.
                 self.create_timer(0.1, lambda: ctypes.PyDLL(None).sleep(60))
+            if self.values.device == 'overloaded':
+                burst, self.left = Topic('burst', 'std_msgs/msg/Empty', True, BURST), BURST
+                self.publisher = self.publish_topic(burst)
+                self.subscribe_topic(burst, self.fall_behind)
+                self.once = self.create_timer(0.1, self.flood)
             if self.values.device == 'busy':
                 self.create_timer(0.1, self.work)
 
         def work(self):
             print('working', flush=True)
             time.sleep(60)
+
+        def flood(self):
+            if self.publisher.get_subscription_count():
+                self.once.cancel()
+                for _ in range(BURST):
+                    self.publisher.publish(Empty())
+
+        def fall_behind(self, _):
+            time.sleep(0.02)
+            self.left -= 1
+            if not self.left:
+                print('caught up', flush=True)
 
         def apply(self, values):
             if values.gain == 3.0:
@@ -121,10 +142,19 @@ def test_a_signal_ends_what_takes_long(start, device):
     assert (process.returncode, stderr) == (0, '')
 
 
+QUICK = 'import mixtac_core.node.process as process; process.STUCK_S = 1.0'
+
+
+def test_a_node_that_is_late_goes_on(start):
+    process = start('device:=overloaded', before=QUICK)
+    assert process.stdout.readline() == 'caught up\n'
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stderr) == (0, '')
+
+
 def test_a_callback_that_never_returns_ends_the_process(start):
-    process = start(
-        'device:=stuck', before='import mixtac_core.node.process as process; process.STUCK_S = 1.0'
-    )
+    process = start('device:=stuck', before=QUICK)
     _, stderr = process.communicate(timeout=30)
     assert process.returncode == 1
     assert fatal_text(stderr.splitlines()[0])

@@ -220,8 +220,9 @@ class CameraControl:
 
         Raises:
             UsbError: The request failed.
-            DriverError: The camera is closed or has no frames.
+            DriverError: The camera does not stream, or has no frames.
         """
+        self._clock()
         with self._lock:
             protocol, identity = self._attached()
             if not identity.model.has_frames:
@@ -236,12 +237,7 @@ class CameraControl:
             UsbError: The request failed.
             DriverError: The camera does not stream.
         """
-        epochs = self.epochs
-        if epochs is None or epochs.origin is None:
-            raise DriverError(
-                'the camera does not stream yet', remedy='reset its clock while it streams'
-            )
-        epochs.ask(self._reset_clock)
+        self._clock().ask(self._reset_clock)
 
     def statistics(self) -> dict[str, int]:
         """Return the counters of the camera itself by name (see `COUNTERS`), none while closed.
@@ -268,6 +264,16 @@ class CameraControl:
             described = ((Module.DVS, Dvs), (Module.APS, Aps), (Module.SYSTEM_INFO, SystemInfo))
             addresses += [(module, number) for module, kind in described for number in kind]
             return {f'{int(m)}:{int(p)}': protocol.read(m, p) for m, p in sorted(set(addresses))}
+
+    def _clock(self) -> ClockEpochs:
+        """Return the clock of the stream.
+
+        Raises:
+            DriverError: No data have arrived.
+        """
+        if self.epochs is None or self.epochs.origin is None:
+            raise DriverError('the camera does not stream yet', remedy='try again when it does')
+        return self.epochs
 
     def _reset_clock(self) -> Origin:
         with self._lock:

@@ -134,10 +134,15 @@ def test_exposure_waits_for_nobody(camera, fake):
 
 
 def test_a_frame_is_asked_for_only_where_none_come(camera, fake):
+    camera.start()
+    with pytest.raises(DriverError):
+        camera.control.request_frame()
+    fake.send([0x8064, 0x1001, 0x2001])
+    next(each for each in camera.batches() if each.origin is not None)
+    fake.log.clear()
     camera.control.request_frame()
     assert fake.log == []
     camera.apply(DriverParameters(aps_enabled=False))
-    camera.start()
     fake.log.clear()
     camera.control.request_frame()
     assert fake.log == [('many', 2), ('write', 2, 4, 1), ('write', 2, 4, 0)]

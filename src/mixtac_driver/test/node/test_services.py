@@ -165,5 +165,12 @@ def test_a_snapshot_requests_a_frame(rig):
     rig.decode(lambda: None)
     assert not rig.node.call('~/snapshot').success
     rig.camera.open()
+    rig.camera.start()
+    # It is open, and no data have arrived.
+    answer = rig.node.call('~/snapshot')
+    assert not answer.success
+    assert answer.message
+    rig.fake.send([0x8064, 0x1001, 0x2001])
+    next(rig.camera.batches())
     assert rig.node.call('~/snapshot').success
     assert ('many', 2) in rig.fake.log

@@ -173,20 +173,21 @@ def load_checkpoint(path: Path, fingerprint: str) -> tuple[Progress, Parts] | No
         fingerprint: Fingerprint of the run to be resumed.
 
     Raises:
-        TrainingError: It belongs to a run with other settings or data, or cannot be read.
+        TrainingError: It belongs to a run with other settings or data, or of an older version,
+            or cannot be read.
     """
     if not path.exists():
         return None
     header, arrays = read_tensors(path, TrainingError, 'remove it to start over')
-    if header.get('fingerprint') != fingerprint:
-        raise TrainingError(
-            f'{path} belongs to a run with other settings or other data',
-            remedy='give another folder with --folder, or remove it to start over',
-        )
-    parts: Parts = {'best': {}, 'optimiser': {}}
+    parts: Parts = {'best': {}, 'optimiser': {}, 'random': {}}
     for name, array in arrays.items():
         part, _, rest = name.partition('.')
         parts.setdefault(part, {})[rest] = torch.from_numpy(array)
+    if header.get('fingerprint') != fingerprint or 'stages' not in parts['random']:
+        raise TrainingError(
+            f'{path} belongs to a run with other settings or data, or of an older version',
+            remedy='give another folder with --folder, or remove it to start over',
+        )
     return Progress(**json.loads(header['progress'])), parts
 
 

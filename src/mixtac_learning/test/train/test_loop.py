@@ -15,10 +15,12 @@ import torch
 
 from mixtac_learning.train.loop import (
     Processes,
+    Progress,
     Stage,
     TrainingError,
     TrainingLoop,
     load_checkpoint,
+    save_checkpoint,
     schedule_factor,
 )
 
@@ -133,11 +135,15 @@ def test_without_patience_all_epochs_are_run():
     assert stage.weight.item() == stage.seen[-1]
 
 
-def test_a_checkpoint_of_another_run_is_refused(tmp_path):
+def test_a_checkpoint_of_another_run_or_version_is_refused(tmp_path):
     path = tmp_path / 'c.safetensors'
     scripted([1.0], path=path)
     with pytest.raises(TrainingError):
         load_checkpoint(path, 'another')
+    # Older versions stored the state of the random generators under other names.
+    save_checkpoint(path, '', Progress(), {'model': {'weight': torch.zeros(1)}})
+    with pytest.raises(TrainingError):
+        load_checkpoint(path, '')
     path.write_bytes(b'cut off')
     with pytest.raises(TrainingError):
         load_checkpoint(path, '')

@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac record` over real topics, read by rosbags alone; what it counts; how it ends."""
+
+from __future__ import annotations
+
+import signal
+import struct
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rosbags.highlevel import AnyReader
+
+from mixtac.record import TopicMeter, verdict
+from mixtac_core.node.base_node import QOS_EVENTS
+from mixtac_core.node.topics import EVENTS, IMAGE_RAW
+from mixtac_core.recordings.bag import BagFile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PACKETS = 500
+END_S = 60.0
+
+
+def payload(index: int) -> bytes:
+    return np.random.default_rng(index).bytes(2 * (index % 40))
+
+
+def publish_all(graph, bag: Path) -> None:
+    """Publish packets until they are recorded, some more, and the state of a simulated driver."""
+    from event_camera_msgs.msg import EventPacket
+
+    publisher = graph.node.create_publisher(EventPacket, '/here/events', QOS_EVENTS)
+    state = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    graph.spin_until(state.get_subscription_count)
+    index, last = 0, None
+    while index != last:
+        message = EventPacket(height=260, width=346, seq=index, encoding='libcaer_cmp')
+        message.events.frombytes(payload(index))
+        publisher.publish(message)
+        index += 1
+        if last is None and bag.exists():
+            last = index + PACKETS
+        time.sleep(0.001)
+    simulated = [KeyValue(key='simulated', value='True')]
+    for serial, name in (('0042', 'here/driver'), ('0043', 'other/here/driver')):
+        status = DiagnosticStatus(name=name, hardware_id=serial, values=simulated)
+        state.publish(DiagnosticArray(status=[status]))
+    time.sleep(1.0)
+
+
+def command(bag: Path, *options: str) -> list[str]:
+    return [sys.executable, '-m', 'mixtac', 'record', str(bag), *options]
+
+
+@pytest.mark.dds
+def test_rosbags_alone_reads_every_packet_and_its_bytes_are_those_sent(
+    node_under_test, ros_domain, tmp_path
+):
+    bag = tmp_path / 'one'
+    words = command(bag, '--namespace', 'here', '--wait', 'inf')
+    with subprocess.Popen(words, env=ros_domain, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            publish_all(node_under_test, bag)
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=END_S)
+        finally:
+            process.kill()
+    assert process.returncode == 0, output
+    numbers = []
+    with AnyReader([bag]) as reader:
+        chosen = [c for c in reader.connections if c.topic == '/here/events']
+        for connection, _, data in reader.messages(chosen):
+            message = reader.deserialize(data, connection.msgtype)
+            numbers.append(message.seq)
+            assert message.events.tobytes() == payload(message.seq)
+    assert numbers == sorted(set(numbers))
+    # On a loaded machine some get lost on the way, which the command has to know.
+    assert len(numbers) > PACKETS // 2
+    missing = numbers[-1] - numbers[0] + 1 - len(numbers)
+    (described,) = yaml.safe_load((tmp_path / 'dataset.yaml').read_text())['trials']
+    assert described['topics']['events']['missing'] == missing
+    assert described['topics']['events']['messages'] == len(numbers)
+    assert described['not_written'] == 0
+    assert (described['serial'], described['simulated']) == ('0042', True)
+
+
+@pytest.mark.dds
+def test_without_a_sensor_nothing_is_recorded(ros_domain, tmp_path):
+    words = command(tmp_path / 'bag', '--wait', '0')
+    result = subprocess.run(
+        words, env=ros_domain, timeout=END_S, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1
+    assert '/mixtac/events' in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+FAILING = """
+import sys
+from pathlib import Path
+from mixtac.record import Listener
+with Listener.opened('record', 'mixtac') as listener:
+    listener.listen('/ft_sensor/wrench')
+    listener.start(Path(sys.argv[1]))
+    raise SystemExit(3)
+"""
+
+
+@pytest.mark.dds
+def test_an_error_leaves_a_bag_that_is_whole(ros_domain, tmp_path):
+    words = [sys.executable, '-c', FAILING, str(tmp_path / 'bag')]
+    assert subprocess.run(words, env=ros_domain, timeout=END_S, check=False).returncode == 3
+    with BagFile(tmp_path / 'bag') as found:
+        assert found.damage == ''
+
+
+def stamped(stamp_ns: int) -> bytes:
+    return b'\0\1\0\0' + struct.pack('<iI', *divmod(stamp_ns, 10**9)) + bytes(8)
+
+
+def test_packets_missing_by_number_are_counted_and_reported(packet):
+    meter = TopicMeter(EVENTS)
+    for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
+        meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.missing) == (6, 2)
+    nothing = {'seconds': 1.0, 'not_written': 0, 'stopped': '', 'topics': {}}
+    assert 'no losses' in verdict(nothing)
+    said = verdict(nothing | {'not_written': 7, 'topics': {'events': meter.figures()}})
+    assert '2 of events' in said
+    assert '7 ' in said
+
+
+def test_topics_without_numbers_show_rate_and_longest_gap_since_the_restart():
+    meter = TopicMeter(IMAGE_RAW)
+    meter.add(1, stamped(10**9))
+    meter.restart()
+    for n in (0, 1, 2, 5, 6):
+        meter.add(10**9 + n * 25_000_000, stamped(10**9))
+    assert (meter.messages, meter.missing) == (5, 0)
+    assert meter.figures()['longest_gap_s'] == pytest.approx(0.075)
+    assert meter.rate_hz == pytest.approx(4 / 0.15)
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(8), b'\0\1\0\0' + b'\xff' * 30])
+def test_damaged_packets_are_lost(packet, data):
+    meter = TopicMeter(EVENTS)
+    assert not meter.add(10**9, data)
+    assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.missing) == (1, 1)
