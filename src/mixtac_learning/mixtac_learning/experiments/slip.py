@@ -355,6 +355,7 @@ class TrialPlan:
         knock_s: Onset of the knock [s].
         grasp_n: Grasp force for which the object is weighed, to about 5 % [N]; None for the mass
             that is drawn.
+        pulse_s: Duration of the impact [s]; None for that of the falling weight.
     """
 
     name: str = 'box'
@@ -366,6 +367,7 @@ class TrialPlan:
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
     knock_s: float = KNOCK_S
     grasp_n: float | None = None
+    pulse_s: float | None = None
 
     def grasp(self, knock_s: float, *, camera: bool) -> Grasp:
         """Return the grasp of this trial at its start, with another onset of the knock [s]."""
@@ -377,6 +379,8 @@ class TrialPlan:
             knock_s=knock_s,
             stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
+        if self.pulse_s is not None:
+            setup = replace(setup, pulse_s=self.pulse_s)
         day, rest_s = (self.seed, self.seed, preset(self.preset)), self.knock_s + AFTER_KNOCK_S
         if self.grasp_n is not None:
             # The smallest force that holds grows with the mass.
