@@ -51,18 +51,18 @@ FORK = multiprocessing.get_context('fork')
 """A child continues with the state of its parent."""
 
 
-def run(plans: list[TrialPlan]) -> list[dict[str, dict[str, Any]]]:
-    """Return the results of all ways for plans of one seed, whose gain is measured once."""
-    return [run_ways(plan) for plan in plans]
+def run(plans: list[TrialPlan], ways: list[str]) -> list[dict[str, dict[str, Any]]]:
+    """Return the results of ways for plans of one seed, whose gain is measured once."""
+    return [run_ways(plan, ways) for plan in plans]
 
 
-def run_ways(plan: TrialPlan) -> dict[str, dict[str, Any]]:
+def run_ways(plan: TrialPlan, ways: list[str]) -> dict[str, dict[str, Any]]:
     """Return the result of each way of a trial; `refused` says why it could not be enabled."""
     loop = start_trial(plan)
     found: dict[str, dict[str, Any]] = {}
-    for way, changed in WAYS.items():
+    for way in ways:
         here, there = FORK.Pipe(duplex=False)
-        way_plan = replace(plan, settings=replace(plan.settings, **changed))
+        way_plan = replace(plan, settings=replace(plan.settings, **WAYS[way]))
         child = FORK.Process(target=finish, args=(way_plan, loop, there))
         child.start()
         there.close()
@@ -112,8 +112,18 @@ def slip(
     ] = None,
     knock: Annotated[float, typer.Option(min=0.0, max=500.0, help='Knock (mm/s).')] = 50.0,
     after: Annotated[
-        float, typer.Option(min=0.01, max=5.0, help='Time from enabling to the knock (s).')
+        float, typer.Option(min=0.01, max=600.0, help='Time from enabling to the knock (s).')
     ] = 0.35,
+    pull: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001, max=0.3, help='Let the momentum of the knock act slowly, over this time (s).'
+        ),
+    ] = None,
+    way: Annotated[
+        list[str] | None,
+        typer.Option(help='margin, answer, both or paper; repeat for several, omit for all.'),
+    ] = None,
     grasp_force: Annotated[
         tuple[float, float] | None,
         typer.Option(help='Least and largest grasp force (N): objects are weighed for them.'),
@@ -124,6 +134,8 @@ def slip(
     json: JsonFile = None,
 ) -> None:
     """Knock objects in a simulated grasp: no control, press, answer, both, the paper's law."""
+    if unknown := set(way or ()) - WAYS.keys():
+        raise typer.BadParameter(f'{", ".join(unknown)}: choose among {", ".join(WAYS)}')
     margins = margin or [1.05]
     forces = [None] * trials if grasp_force is None else np.linspace(*grasp_force, trials).tolist()
     plans = [
@@ -136,20 +148,32 @@ def slip(
                 preset=preset,
                 knock_s=round(ENABLE_S + after, 6),
                 grasp_n=force,
+                pulse_s=pull,
             )
             for each in margins
         ]
         for number, force in enumerate(forces)
     ]
-    work = Parallel(n_jobs=jobs, return_as='generator')(delayed(run)(each) for each in plans)
-    results = list(track(work, 'Trials', total=trials))
-    found = {
-        f'{each:g}': {way: [result[k][way] for result in results] for way in results[0][k]}
-        for k, each in enumerate(margins)
-    }
-    report = {
-        each: {way: summary(all_) for way, all_ in ways.items()} for each, ways in found.items()
-    }
+    work = Parallel(n_jobs=jobs, return_as='generator')(
+        delayed(run)(each, list(way or WAYS)) for each in plans
+    )
+    settings = {'knock_mm_s': knock, 'after_s': after, 'pull_s': pull, 'seed': seed}
+    settings |= {'preset': preset, 'grasp_force_n': grasp_force}
+    results: list[list[dict[str, dict[str, Any]]]] = []
+    for result in track(work, 'Trials', total=trials):
+        results.append(result)
+        found = {
+            f'{each:g}': {name: [all_[k][name] for all_ in results] for name in result[k]}
+            for k, each in enumerate(margins)
+        }
+        report = {
+            each: {name: summary(all_) for name, all_ in ways.items()}
+            for each, ways in found.items()
+        }
+        # A run that is interrupted keeps what it has found.
+        write_json(
+            json, {'simulated': True, 'settings': settings, 'margins': report, 'trials': found}
+        )
     rows = [
         (each, way, *(_text(row.get(name)) for name in COLUMNS.values()))
         for each, ways in report.items()
@@ -157,8 +181,6 @@ def slip(
     ]
     title = f'Knocks of {knock:g} mm/s, simulated'
     Console(markup=False).print(make_table(title, ('margin', 'way', *COLUMNS), rows))
-    settings = {'knock_mm_s': knock, 'after_s': after, 'seed': seed, 'preset': preset}
-    write_json(json, {'simulated': True, 'settings': settings, 'margins': report, 'trials': found})
 
 
 def _text(value: float | None) -> str:

@@ -38,11 +38,9 @@ PRECISE: Final = 0.1
 """Relative standard deviation of the stiffness from which it counts as measured."""
 LARGEST_RATIO: Final = 20.0
 """Largest ratio of two forces for which a contact stiffens."""
-FOLLOW_SHARE: Final = 0.01
-"""Share of its difference by which the force at advance zero follows a measured force at rest, as
-the gel relaxes: 0.2 s at 500 Hz."""
 DRIFT: Final = 2e-6
-"""Variance by which the force at advance zero may change from one force to the next [N^2]."""
+"""Variance by which the force at advance zero may change from one force to the next [N^2], as the
+gel relaxes and as the sensor corrects the force of a fast press."""
 
 
 def stiffening(from_n: float, to_n: float) -> float:
@@ -61,11 +59,12 @@ class Contact:
         force: f, force at advance zero [N].
         stiffness: k [N/m].
         present: Expected force at the advance of the latest measured one [N].
+        place: Latest advance without slip at which the force was measured [m].
         seen: Number of forces used.
     """
 
     def __init__(self) -> None:
-        self.force = self.present = 0.0
+        self.force = self.present = self.place = 0.0
         self.seen = 0
         self.restart(0.0)
 
@@ -73,7 +72,7 @@ class Contact:
         """Make an advance the new zero, and reset the stiffness."""
         if self.seen:
             self.force = self.at(advance)
-        self.stiffness = PRIOR
+        self.stiffness, self.place = PRIOR, 0.0
         self._ff, self._fk, self._kk = FORCE_SD**2, 0.0, PRIOR_SD**2
 
     @property
@@ -95,28 +94,23 @@ class Contact:
         """Return the expected force [N] at an advance [m]."""
         return self.force + self.stiffness * advance
 
-    def reach(self, force_n: float, advance: float) -> float:
-        """Return the advance that is safe for a force [N], from an advance that was reached [m]."""
-        now_n = self.at(advance)
-        return advance + (force_n - now_n) / (self.bound * stiffening(now_n, force_n))
+    def reach(self, force_n: float) -> float:
+        """Return the advance that is safe for a force [N], counted from `place` [m]."""
+        now_n = self.at(self.place)
+        return self.place + (force_n - now_n) / (self.bound * stiffening(now_n, force_n))
 
-    def on_force(self, force_n: float, advance: float, spread: float, *, learn: bool) -> None:
+    def on_force(self, force_n: float, advance: float, spread: float) -> None:
         """Use a force.
 
         Args:
             force_n: Normal force [N].
             advance: Advance of the arm at its time [m].
             spread: Standard deviation of that advance [m].
-            learn: Whether the stiffness is learned; else only the force at advance zero follows.
         """
         if not self.seen:
             self.force = force_n
         self.seen += 1
         residual = force_n - self.at(advance)
-        if not learn:
-            self.force += FOLLOW_SHARE * residual
-            self.present = self.at(advance)
-            return
         self._ff += DRIFT
         noise = FORCE_SD**2 + (spread * self.bound) ** 2
         by_f, by_k = self._ff + advance * self._fk, self._fk + advance * self._kk
@@ -198,7 +192,7 @@ class StepLaw:
     def __init__(self, start: float) -> None:
         self._start = self.goal = start
         self._windows = 0
-        self._from = self._floor = self._answer = 0.0
+        self._floor = self._answer = 0.0
         self._raising = self._measured = False
         self.phase = Phase.PRESS
 
@@ -223,7 +217,7 @@ class StepLaw:
                 late_s = max(self._windows * WINDOW_S - PATIENCE_S, 0.0)
                 rise = RAISE_RATE * late_s if self._measured else 0.0
                 self._answer = max(p.slip_force, SLIP_RATIO * self._start) + rise
-            return max(total, contact.reach(min(self._answer, p.usable_force), self._from))
+            return max(total, contact.reach(min(self._answer, p.usable_force)))
         if self.phase is Phase.PRESS:
             speed = PRESS_RATE / contact.stiffness
             return total + WINDOW_S * min(max(speed, SLOWEST_PRESS), FASTEST_PRESS)
@@ -257,7 +251,7 @@ class StepLaw:
         if phase is Phase.SLIP:
             # The slow press alone measures the stiffness well enough for more than one step.
             pressed = self.phase in {Phase.KEEP, Phase.RETURN} and self.goal > PRESSED * self._start
-            self._from, self._measured = total, pressed and contact.precise
+            self._measured = pressed and contact.precise
             if self.phase is Phase.RETURN:
                 self._floor = total  # a return that led to a slip is not repeated
         self.phase, self._windows = phase, 0
@@ -317,9 +311,10 @@ class AdvanceLaw:
                 that was measured well: a tactile sensor underestimates the force of a fast press.
             enabled: Whether the arm may move.
         """
-        learn = enabled and not self.contact.precise
-        if calm or learn:
-            self.contact.on_force(force_n, advance, spread, learn=learn)
+        if calm or (enabled and not self.contact.precise):
+            self.contact.on_force(force_n, advance, spread)
+        if calm:
+            self.contact.place = advance
 
     def update(
         self, count: int, threshold: float, advance: float, force: float, *, slipping: bool
@@ -339,7 +334,7 @@ class AdvanceLaw:
         else:
             wanted = self.step.advance(before, self.contact, p, slipping=slipping)
         # The bound makes the arm wait, not retreat: a noisy force must not move it.
-        reach = self.contact.reach(p.usable_force, 0.0) if force < p.usable_force else advance
+        reach = self.contact.reach(p.usable_force) if force < p.usable_force else advance
         self.limit = max(min(reach, p.max_total), min(before, p.max_total), 0.0)
         self.total = min(max(wanted, 0.0), self.limit)
         return self.total - before

@@ -118,7 +118,7 @@ class SlipControlParameters:
     grip_margin: float = parameter(1.3, within=(1.0, 5.0))
     slip_force: float = parameter(1.0, unit='N', within=(0.01, 100.0))
     max_force: float = parameter(1.5, unit='N', within=(0.01, 100.0))
-    force_share: float = parameter(0.9, within=(0.1, 1.0))
+    force_share: float = parameter(0.85, within=(0.1, 1.0))
     max_total: float = parameter(1e-3, unit='m', within=(0.0, 2e-3))
     gripper: str = fixed('none', choices=('none', 'force', 'speed'))
 

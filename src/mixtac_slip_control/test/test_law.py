@@ -97,7 +97,8 @@ def test_a_slip_is_answered_by_one_step_that_is_held_and_taken_back() -> None:
     assert 0.8 < grasp.force <= 1.0
     grasp.step()
     assert grasp.law.step.phase is Phase.HOLD
-    assert grasp.rest(250).law.total == pytest.approx(answer, abs=1e-6)
+    assert grasp.rest(250).law.total >= answer
+    assert grasp.force == pytest.approx(1.0, abs=0.03)
     grasp.rest(10_000)
     assert grasp.law.step.phase is Phase.KEEP
     assert grasp.law.total == pytest.approx(pressed, abs=1.5e-5)
@@ -118,6 +119,11 @@ def test_a_slip_that_goes_on_is_answered_up_to_the_usable_force() -> None:
     for _ in range(400):
         grasp.step(slipping=True)
     assert 0.95 < grasp.force <= grasp.parameters.usable_force
+
+
+def test_the_press_of_a_heavy_object_uses_the_whole_usable_force() -> None:
+    grasp = Grasp(2e3, 1.1, noise=0.0).rest(1000)
+    assert grasp.force == pytest.approx(grasp.parameters.usable_force, abs=0.02)
 
 
 def test_a_slip_before_anything_was_measured_does_not_drop_a_soft_object() -> None:
@@ -142,7 +148,7 @@ def test_a_force_that_relaxes_is_restored() -> None:
 def test_a_force_without_room_is_refused_and_both_forces_are_named(start: float) -> None:
     with pytest.raises(SlipControlError) as caught:
         Grasp(start=start)
-    for named in ('1.35 N', f'{start:.2f} N', 'force_share'):
+    for named in (f'{SlipControlParameters().usable_force:.2f} N', f'{start:.2f} N', 'force_share'):
         assert named in str(caught.value)
 
 
@@ -150,7 +156,7 @@ def test_a_force_without_room_is_refused_and_both_forces_are_named(start: float)
 @given(
     law=st.sampled_from(['step', 'paper']),
     stiffness=st.floats(500.0, 2e4),
-    start=st.floats(0.1, 1.2),
+    start=st.floats(0.1, 1.15),
     gain=st.floats(0.92, 1.08),
     late=st.integers(2, 12),
     seed=st.integers(0, 1000),

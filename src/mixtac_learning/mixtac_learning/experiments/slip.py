@@ -45,9 +45,7 @@ from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.arm import READY, JointTrajectoryController, LaggingArm, Trajectory, violations
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grasp.objects import draw_setup
-from mixtac_sim.grasp.skin import SETTLE_S
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.plans import TrialSpec
@@ -355,8 +353,9 @@ class TrialPlan:
         preset: Difficulty preset of the virtual sensor.
         settings: Settings of the slip controller.
         knock_s: Onset of the knock [s].
-        grasp_n: Grasp force for which the object is weighed, to about 10 % [N]; None for the mass
+        grasp_n: Grasp force for which the object is weighed, to about 5 % [N]; None for the mass
             that is drawn.
+        pulse_s: Duration of the impact [s]; None for that of the falling weight.
     """
 
     name: str = 'box'
@@ -368,6 +367,7 @@ class TrialPlan:
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
     knock_s: float = KNOCK_S
     grasp_n: float | None = None
+    pulse_s: float | None = None
 
     def grasp(self, knock_s: float, *, camera: bool) -> Grasp:
         """Return the grasp of this trial at its start, with another onset of the knock [s]."""
@@ -379,10 +379,13 @@ class TrialPlan:
             knock_s=knock_s,
             stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
-        if self.grasp_n is not None:
-            friction = setup.friction.static(SETTLE_S) + setup.wall_mu
-            setup = replace(setup, mass_g=1e3 * self.grasp_n / self.margin * friction / GRAVITY)
+        if self.pulse_s is not None:
+            setup = replace(setup, pulse_s=self.pulse_s)
         day, rest_s = (self.seed, self.seed, preset(self.preset)), self.knock_s + AFTER_KNOCK_S
+        if self.grasp_n is not None:
+            # The smallest force that holds grows with the mass.
+            drawn = Grasp(setup, *day, camera=False, rest_s=rest_s)
+            setup = replace(setup, mass_g=setup.mass_g * self.grasp_n / drawn.grasp_n)
         return Grasp(setup, *day, camera=camera, rest_s=rest_s)
 
     def uncontrolled(self) -> Arrest:
