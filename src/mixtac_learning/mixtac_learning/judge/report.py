@@ -33,7 +33,6 @@ from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource
 from mixtac_sim.world.plans import (
     TrialSpec,
-    calibration_plan,
     evaluation_plan,
     unseen_devices,
 )
@@ -260,7 +259,9 @@ def judge_devices(
         return track([SimulatedSource(spec) for spec in specs], title, transient=True)
 
     chosen = list(devices)
-    presses = sources(calibration_plan(chosen, seconds, seed, preset), 'calibrating')
+    # On a day that no other trial has.
+    plan = evaluation_plan(chosen, seconds, seed, preset, ('press',), first=99)
+    presses = sources(plan, 'calibrating')
     pressed = [estimator(source.load()) for source in presses]
     scales = {press.device: fit_scale(press.force, press.known) for press in pressed}
     trials = sources(evaluation_plan(chosen, seconds, seed, preset=preset), 'judging')

@@ -209,7 +209,7 @@ class _TrialMessages:
         for stamp_ns, wrench in zip(stamps_ns, truth_wrench(truth).tolist(), strict=True):
             data = self._wrench.serialised(stamp_ns, wrench)
             self._put(_batch_end(stamp_ns), topics.TRUTH_WRENCH.name, data)
-        right, down = self._trial.contact_mm
+        right, down = self._trial.sensor.contact_mm
         place, message = self._point.point, self._point
         place.x, place.y = 1e-3 * right, -1e-3 * down
         for stamp_ns, depth_m in zip(stamps_ns, (1e-3 * truth['depth_mm']).tolist(), strict=True):

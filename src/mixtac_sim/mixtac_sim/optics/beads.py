@@ -17,7 +17,7 @@ from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, sheared_area
 from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge
-from mixtac_sim.optics.scene import DIAMETER_MM, SAG_MM, Lens, Markers
+from mixtac_sim.optics.scene import SAG_MM, Lens, Markers
 
 ROWS = 193
 """Rows of the displacement tables."""
@@ -60,7 +60,7 @@ class BeadMotion:
                 for tool, law in zip(indenters, laws, strict=True)
             ]
         )
-        self._optics = _optics_row(lens)
+        self._optics = _optics_row(lens, beads.diameter_mm)
         self._reach = np.stack([self._largest(table) for table in self._tables])
         self.spots = np.empty((len(beads.x_mm), 4))
 
@@ -250,7 +250,7 @@ class SlidingBeads:
         return self._found[key]
 
 
-def _optics_row(lens: Lens) -> Floats:
+def _optics_row(lens: Lens, diameter_mm: float) -> Floats:
     """Return what the projection needs as one array; see ``_place``."""
     return np.array(
         [
@@ -266,6 +266,7 @@ def _optics_row(lens: Lens) -> Floats:
             lens.softness_px,
             np.cos(lens.roll_rad),
             np.sin(lens.roll_rad),
+            0.5 * diameter_mm,
         ]
     )
 
@@ -283,7 +284,7 @@ def _place(
     spots: Floats,
 ) -> None:
     """Displace and project all beads; the same optics as ``Lens``, with the values at hand."""
-    gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin = optics
+    gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin, radius = optics
     low = min(int(row), table.shape[0] - 2)
     part = row - low
     moved = np.empty(8)
@@ -307,5 +308,5 @@ def _place(
         spots[i, 1] = centre_y + bend * slope_y
         # Mean of the radial and the tangential scale: images stay round.
         stretch = gain * (1.0 + square * (2.0 * k1 + 3.0 * k2 * square))
-        spots[i, 2] = 0.5 * DIAMETER_MM * stretch / distance
+        spots[i, 2] = radius * stretch / distance
         spots[i, 3] = np.sqrt(soft * soft + (blur * (distance - focus) / distance) ** 2)

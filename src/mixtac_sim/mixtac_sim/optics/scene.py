@@ -132,16 +132,18 @@ class Markers:
         y_mm: Place downwards in the image [n] [mm].
         depth_mm: Depth of the centre below the skin [n] [mm].
         opacity: How strongly each bead covers what is behind it [n].
+        diameter_mm: Diameter of the beads [mm].
     """
 
     x_mm: Floats
     y_mm: Floats
     depth_mm: Floats
     opacity: Floats
+    diameter_mm: float = DIAMETER_MM
 
 
 def scatter_markers(
-    device_seed: int, thickness_mm: float, number: tuple[int, int], apart_mm: float
+    device_seed: int, thickness_mm: float, number: tuple[int, int], diameter_mm: float
 ) -> Markers:
     """Return the beads of a device: uniform in the layer, none inside another.
 
@@ -149,7 +151,7 @@ def scatter_markers(
         device_seed: Seed of the device.
         thickness_mm: Thickness of the layer [mm].
         number: Least and largest number of beads (estimate: 450 are about 5 % of the volume).
-        apart_mm: Least distance of two beads across the optical axis [mm].
+        diameter_mm: Diameter of the beads [mm]; their number and places do not depend on it.
     """
     few, many = number
     beads = int(stream(device_seed, 'number of markers').integers(few, many + 1))
@@ -161,18 +163,18 @@ def scatter_markers(
     count = 0
     while count < beads:
         placed[count] = rng.uniform(low, high)
-        count += _is_free(placed, count, DIAMETER_MM**2, apart_mm**2)
+        count += _is_free(placed, count, DIAMETER_MM**2)
     opacity = rng.uniform(1.2, 3.0, size=beads)
-    return Markers(placed[:, 0], placed[:, 1], placed[:, 2], opacity)
+    return Markers(placed[:, 0], placed[:, 1], placed[:, 2], opacity, diameter_mm)
 
 
 @njit(cache=True)
-def _is_free(placed: Floats, count: int, apart: float, aside: float) -> bool:
-    """Return whether a bead is far enough from those before it; squares of distances [mm2]."""
+def _is_free(placed: Floats, count: int, apart: float) -> bool:
+    """Return whether a bead is far enough from those before it; square of the distance [mm2]."""
     x, y, z = placed[count]
     for other in range(count):
         across = (placed[other, 0] - x) ** 2 + (placed[other, 1] - y) ** 2
-        if across < aside or across + (placed[other, 2] - z) ** 2 <= apart:
+        if across + (placed[other, 2] - z) ** 2 <= apart:
             return False
     return True
 

@@ -79,11 +79,18 @@ class Aps:
         trial_seed: Fixes the noise.
         dn_per_lux_ms: Response [DN/(lx ms)].
         settings: When frames are taken.
+        grain: Read noise over the specification's.
     """
 
     def __init__(
-        self, device_seed: int, trial_seed: int, dn_per_lux_ms: float, settings: ApsSettings
+        self,
+        device_seed: int,
+        trial_seed: int,
+        dn_per_lux_ms: float,
+        settings: ApsSettings,
+        grain: float = 1.0,
     ) -> None:
+        self._read_dn = np.float32(READ_NOISE_DN * grain)
         rng = stream(device_seed, 'aps')
         columns = rng.normal(0.0, 6.0, (1, WIDTH))
         level = 950.0 + columns + rng.normal(0.0, 8.0, (HEIGHT, WIDTH))
@@ -169,6 +176,7 @@ class Aps:
             dark,
             self._level,
             draws,
+            self._read_dn,
             reset.reshape(-1),
             signal.reshape(-1),
         )
@@ -189,11 +197,12 @@ def _digitise(
     dark: float,
     level: NDArray[np.float32],
     draws: NDArray[np.uint64],
+    read: float,
     reset: NDArray[np.uint16],
     signal: NDArray[np.uint16],
 ) -> None:
     """Read all pixels before and after the exposure, with read and shot noise, in 10 bits."""
-    read, gain = np.float32(READ_NOISE_DN), np.float32(1.0 / ELECTRONS_PER_DN)
+    gain = np.float32(1.0 / ELECTRONS_PER_DN)
     half, top = np.float32(0.5), np.float32(1023.0)
     for p in range(light.size):
         exposed = light[p] * response[p] + dark

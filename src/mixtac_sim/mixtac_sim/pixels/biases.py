@@ -107,6 +107,7 @@ class PixelSettings:
         leak_hz: Rate of ON events from junction leak [Hz]; about 0.1.
         leak_hz_per_lux: Rate of ON events from parasitic light [Hz/lx].
         shot_hz: Rate of noise events in the dark [Hz], both polarities together.
+        drift_per_s: How fast the light rises, as a part of it [1/s].
         shot_lux: Illuminance that halves the noise [lx].
     """
 
@@ -118,6 +119,7 @@ class PixelSettings:
     leak_hz: float = 0.05
     leak_hz_per_lux: float = 0.0005
     shot_hz: float = 0.6
+    drift_per_s: float = 0.0
     shot_lux: float = 4.0
 
     @staticmethod
@@ -166,11 +168,12 @@ class PixelSpread(NamedTuple):
     hot_hz: NDArray[np.float64]
 
 
+LEAK_DECADES = 0.1
+"""Spread between pixels of the leak [decades] (v2e)."""
+
+
 def draw_spread(
-    device_seed: int,
-    mismatch: float,
-    leak_decades: float = 0.1,
-    hot_pixels: tuple[int, int] = (10, 120),
+    device_seed: int, mismatch: float, hot_pixels: tuple[int, int] = (10, 120)
 ) -> PixelSpread:
     """Return the spread of a chip.
 
@@ -178,13 +181,12 @@ def draw_spread(
         device_seed: Seed of the device.
         mismatch: Standard deviation of a threshold over its nominal value; 0.1 to 0.2 (v2e: 0.03
             of 0.2).
-        leak_decades: Standard deviation of a leak over its nominal value [decades].
         hot_pixels: Range of the number of hot pixels, the upper end excluded.
     """
     rng = stream(device_seed, 'pixels')
     on = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
     off = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
-    leak = 10.0 ** rng.normal(0.0, leak_decades, PADDED)
+    leak = 10.0 ** rng.normal(0.0, LEAK_DECADES, PADDED)
     hot = rng.choice(PIXELS, size=int(rng.integers(*hot_pixels)), replace=False)
     rates = 10.0 ** rng.uniform(0.7, 2.3, size=len(hot))  # 5 to 200 Hz (estimate)
     on[PIXELS:] = off[PIXELS:] = 1e6  # what pads the last tile never fires

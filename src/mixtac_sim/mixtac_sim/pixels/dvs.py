@@ -42,7 +42,7 @@ ON = 6
 OFF = 7
 """Row of the OFF thresholds."""
 LEAK = 8
-"""Row of the rise by leak [1/s]."""
+"""Row of the rise by leak and by a lamp that drifts [1/s]."""
 BEFORE = 9
 """Row of the logarithm at the start of the step."""
 EARLIER = 10
@@ -268,9 +268,10 @@ def _due(values: NDArray[np.float32], corners: Corners, ripple: Ripple, end_ns: 
         mean = values[DIFFERENCE, j] - here
         if depth > 0.0 and mean - crest < -values[OFF, j]:
             return end_ns
-        if values[LEAK, j] > 0.0:
-            away = float(values[ON, j] - mean - crest)
-            soonest = min(soonest, away / float(values[LEAK, j]))
+        rise = float(values[LEAK, j])
+        if rise != 0.0:
+            away = values[ON, j] - mean if rise > 0.0 else values[OFF, j] + mean
+            soonest = min(soonest, float(away - crest) / abs(rise))
     if soonest >= 1e9:
         return NEVER
     return end_ns + int(max(soonest, 0.0) * 1e9)
@@ -387,7 +388,7 @@ class Dvs:
         self._row(ON)[:] = _tiled(settings.threshold_on * spread.on)
         self._row(OFF)[:] = _tiled(settings.threshold_off * spread.off)
         rate = settings.leak_hz + settings.leak_hz_per_lux * self._row(FLOOR)
-        self._row(LEAK)[:] = rate * _tiled(spread.leak) * self._row(ON)
+        self._row(LEAK)[:] = rate * _tiled(spread.leak) * self._row(ON) + settings.drift_per_s
         # The last tile is longer than the array: what lies beyond must never fire.
         for row, value in ((ON, BEYOND), (OFF, BEYOND), (LEAK, 0.0)):
             self._row(row)[-1, PIXELS - PADDED :] = value

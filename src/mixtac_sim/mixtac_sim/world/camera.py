@@ -58,8 +58,8 @@ class Camera:
                 device.lens, device.lighting, device.mesh_n_per_mm, conditions.contact_mm
             )
         exposure = ApsSettings(exposure_us=round(7_000 * conditions.exposure))
-        self._aps = Aps(device.seed, seed, device.dn_per_lux_ms, aps or exposure)
-        settings = device.pixel_settings(pixels or PixelSettings())
+        self._aps = Aps(device.seed, seed, device.dn_per_lux_ms, aps or exposure, device.grain)
+        settings = device.pixel_settings(pixels or PixelSettings(), conditions)
         self._dvs = Dvs(device.scene, device.spread, settings, stream(seed, 'pixel state'))
         self._show(spots, elastic_n)
         self._dvs.settle(self._renderer.cover)
@@ -81,7 +81,7 @@ class Camera:
 
     def configure_pixels(self, nominal: PixelSettings) -> None:
         """Change the DVS settings from the next block on, as new biases would."""
-        settings = self._device.pixel_settings(nominal)
+        settings = self._device.pixel_settings(nominal, self._conditions)
         self._dvs.configure(settings)
         self._noise = self._noise_source(settings)
 

@@ -20,7 +20,6 @@ from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer
 from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.scene import (
     MESH_WIRE_MM,
-    SILICONE_INDEX,
     Flicker,
     Lens,
     Lighting,
@@ -34,6 +33,10 @@ from mixtac_sim.world.effects import EASY, LightEffects, OpticsEffects, Preset
 
 LAMP_WARM_US = 600_000_000
 """Time after which the LEDs are warm [us] (estimate)."""
+LARGEST_GROWTH = 0.005
+"""Largest growth of the gel in a trial, as a part of its length."""
+SECOND_MM = (4.0, 9.0)
+"""Distance of a second contact from the first [mm]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +50,14 @@ class Conditions:
             a few degrees off the normal.
         light: Light over the device's.
         light_drift_per_s: Relative change of the light per second while the LEDs warm up.
+        supply_per_s: The same by the supply of the LEDs.
         friction: Friction over the device's.
         camera_shift_px: Shift of the camera, right and down [px].
         camera_roll_rad: Rotation of the camera [rad].
         exposure: Exposure over 7 ms, unless one is set.
+        growth_per_s: How fast the gel grows [1/s].
+        second: Force of a second contact over that of the first; 0 for none.
+        second_mm: Where that is, from the first, right and down [mm].
     """
 
     contact_mm: tuple[float, float]
@@ -58,21 +65,31 @@ class Conditions:
     lean: tuple[float, float]
     light: float
     light_drift_per_s: float
+    supply_per_s: float = 0.0
     friction: float = 1.0
     camera_shift_px: tuple[float, float] = (0.0, 0.0)
     camera_roll_rad: float = 0.0
     exposure: float = 1.0
+    growth_per_s: float = 0.0
+    second: float = 0.0
+    second_mm: tuple[float, float] = (0.0, 0.0)
 
     def light_at(self, t_us: int) -> float:
         """Return the light over the device's at a time since the start of the trial [us]."""
-        return self.light * (1.0 + self.light_drift_per_s * 1e-6 * min(t_us, LAMP_WARM_US))
+        drift = self.light_drift_per_s + self.supply_per_s
+        return self.light * (1.0 + drift * 1e-6 * min(t_us, LAMP_WARM_US))
+
+    def growth_at(self, t_us: int) -> float:
+        """Return how much the gel has grown at a time since the start of the trial [us]."""
+        return min(self.growth_per_s * 1e-6 * t_us, LARGEST_GROWTH)
 
 
 def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
     """Return the conditions of a trial."""
     rng, contact, light = stream(trial_seed, 'conditions'), preset.contact, preset.light
     more, optics = stream(trial_seed, 'more conditions'), preset.optics
-    reach = contact.place_mm
+    reach, wide = contact.place_mm, stream(trial_seed, 'wide conditions')
+    away, angle = wide.uniform(*SECOND_MM), wide.uniform(0.0, 2.0 * np.pi)
     return Conditions(
         contact_mm=(rng.uniform(-reach, reach), rng.uniform(-reach, reach)),
         stiffness=rng.uniform(*preset.gel.day),
@@ -83,6 +100,10 @@ def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
         camera_shift_px=(more.normal(0.0, optics.shift_px), more.normal(0.0, optics.shift_px)),
         camera_roll_rad=float(np.radians(more.normal(0.0, optics.roll_deg))),
         exposure=more.uniform(*light.exposure),
+        supply_per_s=wide.uniform(*light.supply_per_s),
+        growth_per_s=wide.uniform(*preset.gel.growth_per_s),
+        second=max(wide.uniform(*contact.second), 0.0),
+        second_mm=(away * np.cos(angle), away * np.sin(angle)),
     )
 
 
@@ -115,6 +136,7 @@ class DeviceModel:
         stiffening: Force over the linear layer's, less 1, per square of the strain.
         frame_burst: Share of pixels that fire when a frame is reset or read.
         dn_per_lux_ms: Response of the frames [DN/(lx ms)].
+        grain: Read noise of the frames over the specification's.
     """
 
     seed: int
@@ -134,6 +156,7 @@ class DeviceModel:
     stiffening: float
     frame_burst: float
     dn_per_lux_ms: float
+    grain: float
 
     def on_day(self, conditions: Conditions) -> DeviceModel:
         """Return the sensor with its camera where it is on the day of a trial."""
@@ -157,8 +180,8 @@ class DeviceModel:
             self.markers, self.lens, self.mesh_n_per_mm, layer, contact_mm, indenters, laws
         )
 
-    def pixel_settings(self, nominal: PixelSettings) -> PixelSettings:
-        """Return what a nominal chip's settings become on this chip."""
+    def pixel_settings(self, nominal: PixelSettings, conditions: Conditions) -> PixelSettings:
+        """Return what a nominal chip's settings become on this chip, on the day of a trial."""
         return replace(
             nominal,
             threshold_on=nominal.threshold_on * self.threshold_factor[0],
@@ -169,6 +192,7 @@ class DeviceModel:
             leak_hz=nominal.leak_hz * self.noise_factor,
             leak_hz_per_lux=nominal.leak_hz_per_lux * self.leak_factor,
             shot_hz=nominal.shot_hz * self.noise_factor,
+            drift_per_s=conditions.supply_per_s,
         )
 
 
@@ -182,7 +206,6 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         seed: Device seed.
         preset: Spread of the devices.
     """
-    seed = seed if preset.devices.vary else 0
     rng, pixels, gel, band = stream(seed, 'device'), preset.pixels, preset.gel, preset.bandwidth
     layer = Layer(
         modulus_kpa=float(
@@ -190,8 +213,9 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         ),
         thickness_mm=rng.uniform(*gel.thickness_mm),
     )
-    lens = _draw_lens(rng, layer.thickness_mm, preset.optics)
-    lighting = _draw_lighting(rng, preset.optics.wire)
+    wide = stream(seed, 'wide device')
+    lens = _draw_lens(rng, layer.thickness_mm, preset.optics, wide)
+    lighting = _draw_lighting(rng, preset, wide)
     common, skew = rng.normal(0.0, pixels.common_log_sd), rng.normal(0.0, pixels.skew_log_sd)
     # Draws added with the presets have separate streams, so that older draws do not change.
     speed, more = stream(seed, 'device speed'), stream(seed, 'device stiffening')
@@ -202,14 +226,12 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         prony=_draw_prony(rng, seed, preset),
         friction=rng.uniform(*preset.contact.friction),
         markers=scatter_markers(
-            seed, layer.thickness_mm, preset.optics.beads, preset.optics.apart_mm
+            seed, layer.thickness_mm, preset.optics.beads, wide.uniform(*preset.optics.bead_mm)
         ),
         lens=lens,
         lighting=lighting,
         scene=build_scene(lens, lighting),
-        spread=draw_spread(
-            seed, rng.uniform(*pixels.mismatch), pixels.leak_decades, preset.light.hot_pixels
-        ),
+        spread=draw_spread(seed, rng.uniform(*pixels.mismatch), preset.light.hot_pixels),
         threshold_factor=(
             float(np.exp(common + skew)) * pixels.threshold,
             float(np.exp(common - skew)) * pixels.threshold,
@@ -224,31 +246,32 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         stiffening=more.uniform(*preset.impact.stiffening),
         frame_burst=rng.uniform(*preset.light.frame_burst),
         dn_per_lux_ms=rng.uniform(0.85, 1.1),
+        grain=log_uniform(wide, preset.light.grain),
     )
 
 
-def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects) -> Lens:
+def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects, wide: Generator) -> Lens:
     """Return a 2.8 mm lens focused somewhere in the middle of the layer."""
+    bend = wide.uniform(*optics.bend)
     return Lens(
         focal_mm=2.8 * rng.uniform(0.98, 1.02),
         f_number=rng.uniform(*optics.f_number),
         gap_mm=rng.uniform(11.5, 14.0),
         thickness_mm=thickness_mm,
         focus_depth_mm=thickness_mm * rng.uniform(0.3, 0.6),
-        k1=rng.uniform(-0.30, -0.22),
-        k2=rng.uniform(0.07, 0.10),
+        k1=bend * rng.uniform(-0.30, -0.22),
+        k2=bend * rng.uniform(0.07, 0.10),
         centre_px=(172.5 + rng.normal(0.0, 3.0), 129.5 + rng.normal(0.0, 3.0)),
         softness_px=rng.uniform(1.4, 1.9),
-        index=SILICONE_INDEX if optics.refraction else 1.0,
     )
 
 
-def _draw_lighting(rng: Generator, wires: float) -> Lighting:
+def _draw_lighting(rng: Generator, preset: Preset, wide: Generator) -> Lighting:
     """Return the light of a ring of LEDs, not quite even, and the device's reflectances."""
     return Lighting(
-        lux=rng.uniform(150.0, 250.0),
+        lux=rng.uniform(150.0, 250.0) * log_uniform(wide, preset.light.lamp),
         tilt=(rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15)),
-        bowl=rng.uniform(-0.15, 0.15),
+        bowl=rng.uniform(-0.15, 0.15) + wide.uniform(*preset.optics.even),
         skin=rng.uniform(0.03, 0.06),
         bead=rng.uniform(0.3, 0.5),
         wire=rng.uniform(0.05, 0.15),
@@ -256,7 +279,7 @@ def _draw_lighting(rng: Generator, wires: float) -> Lighting:
         mesh_angle=rng.uniform(0.0, 0.5 * np.pi),
         mesh_shift_mm=(rng.uniform(0.0, 1.08), rng.uniform(0.0, 1.08)),
         corner_px=rng.uniform(185.0, 215.0),
-        wire_mm=MESH_WIRE_MM * wires,
+        wire_mm=MESH_WIRE_MM * max(wide.uniform(*preset.optics.wire), 0.0),
     )
 
 

@@ -1,22 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Difficulty of the simulated sensor: ten effects with their ranges, and three presets of them.
+"""Difficulty of the simulated sensor: nine effects with their ranges, and presets of them.
 
 A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no spread.
 Spreads are estimates wherever the modules that use them do not name a source. Defaults are those of
-the preset `easy`; ``presets.yaml`` beside this file holds the other presets, and the values of
-effects that are switched off.
+the preset `easy`; ``presets.yaml`` beside this file holds the other presets.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
-import yaml
-
+from mixtac_core.node.files import read_data, structure
 from mixtac_sim import SimulationError
 
 Range = tuple[float, float]
@@ -32,7 +30,6 @@ class PixelEffects:
         mismatch: Spread between pixels of a threshold over nominal.
         noise_log: Leak and shot noise of a chip over nominal [log-e].
         noise: Leak and shot noise over their usual rates; 0 for none.
-        leak_decades: Spread between pixels of the leak [decades] (v2e: 0.1).
         threshold: Thresholds over the set ones.
     """
 
@@ -41,7 +38,6 @@ class PixelEffects:
     mismatch: Range = (0.08, 0.16)
     noise_log: Range = (-0.7, 0.7)
     noise: float = 1.0
-    leak_decades: float = 0.1
     threshold: float = 1.0
 
 
@@ -54,12 +50,15 @@ class GelEffects:
         thickness_mm: Thickness of the layer [mm].
         mesh_n_per_mm: Stiffness of the mesh, drawn evenly in its logarithm [N/mm].
         day: Modulus over the device's on a day: temperature, rest since the last trial.
+        growth_per_s: How fast the gel grows in a trial, by half a percent at most: silicone that
+            warms by 10 K is 0.3 % longer [1/s].
     """
 
     modulus_log_sd: float = 0.25
     thickness_mm: Range = (3.5, 5.0)
     mesh_n_per_mm: Range = (3.0, 10.0)
     day: Range = (0.94, 1.06)
+    growth_per_s: Range = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,21 +113,24 @@ class OpticsEffects:
 
     Attributes:
         f_number: f-number; a large one is in focus everywhere.
-        refraction: Whether the layer looks shallower than it is.
         wire: Thickness of the mesh's wires over 0.18 mm; 0 for no mesh in view.
+        bend: Distortion over that of a small wide-angle lens.
+        even: How much the lamps make up for the darkness of the corners: added to the relative
+            change of the light at 10 mm from the axis.
+        bead_mm: Diameter of the beads [mm].
         mesh_moves: Whether the mesh is seen to sag under load.
         beads: Number of beads in view.
-        apart_mm: Least distance of two beads seen from the lens [mm]; 0 lets images overlap.
         shift_px: Spread between days of the camera's place [px].
         roll_deg: Spread between days of the camera's rotation [deg].
     """
 
     f_number: Range = (1.8, 2.8)
-    refraction: bool = True
-    wire: float = 1.0
+    wire: Range = (1.0, 1.0)
+    bend: Range = (1.0, 1.0)
+    even: Range = (0.0, 0.0)
+    bead_mm: Range = (0.8, 0.8)
     mesh_moves: bool = False
     beads: tuple[int, int] = (450, 450)
-    apart_mm: float = 0.0
     shift_px: float = 0.0
     roll_deg: float = 0.0
 
@@ -163,16 +165,23 @@ class LightEffects:
     """Lamp, exposure, and events that no contact caused.
 
     Attributes:
+        lamp: Light of a device over the usual, drawn evenly in its logarithm.
+        grain: Read noise of its frames over the specification's, likewise.
         day: Light over the device's on a day.
-        drift_per_s: Relative change of the light while the LEDs warm up [1/s].
+        drift_per_s: Relative change of the light while the LEDs warm up: of frames alone, as it
+            makes no events [1/s].
+        supply_per_s: The same where their supply drifts; this makes events [1/s].
         exposure: Exposure of a trial over 7 ms, unless one is set.
         ripple: Depth of the lamp's ripple: peak over mean, less 1; 0.05 at most.
         hot_pixels: Number of hot pixels, the upper end excluded.
         frame_burst: Share of pixels that fire when a frame is reset or read.
     """
 
+    lamp: Range = (1.0, 1.0)
+    grain: Range = (1.0, 1.0)
     day: Range = (0.97, 1.03)
     drift_per_s: Range = (-1e-4, 0.0)
+    supply_per_s: Range = (0.0, 0.0)
     exposure: Range = (1.0, 1.0)
     ripple: Range = (0.0, 0.0)
     hot_pixels: tuple[int, int] = (10, 120)
@@ -186,6 +195,8 @@ class ContactEffects:
     Attributes:
         place_mm: Largest distance of the contact from the axis, right and down [mm].
         lean: Spread of the shear displacement per depth: the indenter is not quite upright.
+        second: Force of a second contact over that of the first; none where a draw is below 0.
+        shake_mm: Amplitude of the vibration of the base under a contact [mm].
         friction: Coefficient of friction of a device's skin at 1 N.
         friction_day: Friction over the device's on a day: dust, humidity.
         friction_load: Friction falls as the force to the power of minus this (a single contact
@@ -197,6 +208,8 @@ class ContactEffects:
 
     place_mm: float = 1.5
     lean: float = 0.05
+    second: Range = (0.0, 0.0)
+    shake_mm: Range = (0.0, 0.0)
     friction: Range = (0.5, 1.2)
     friction_day: Range = (1.0, 1.0)
     friction_load: float = 0.0
@@ -223,22 +236,11 @@ class ImpactEffects:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceEffects:
-    """Differences between manufactured sensors.
-
-    Attributes:
-        vary: Whether devices differ; otherwise all device seeds give the same sensor.
-    """
-
-    vary: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class Preset:
     """A degree of difficulty; all other fields than the name are its effects.
 
     Attributes:
-        name: Name of the preset; effects that were switched off are appended.
+        name: Name of the preset.
         pixels: Thresholds and noise of event pixels.
         gel: Stiffness of layer and mesh.
         timing: Errors of the reference sensor and its clock.
@@ -248,7 +250,6 @@ class Preset:
         light: Lamp, exposure, spurious events.
         contact: Place, shape, friction.
         impact: Large strain, loss, ringing.
-        devices: Differences between devices.
     """
 
     name: str
@@ -261,48 +262,19 @@ class Preset:
     light: LightEffects = field(default_factory=LightEffects)
     contact: ContactEffects = field(default_factory=ContactEffects)
     impact: ImpactEffects = field(default_factory=ImpactEffects)
-    devices: DeviceEffects = field(default_factory=DeviceEffects)
-
-    def without(self, *effects: str) -> Preset:
-        """Return this preset with some effects switched off, for ablations.
-
-        Raises:
-            SimulationError: Unknown effect.
-        """
-        unknown = [effect for effect in effects if effect not in EFFECTS]
-        if unknown:
-            msg = f'effect {unknown[0]!r} is unknown; choose among {", ".join(EFFECTS)}'
-            raise SimulationError(msg)
-        name = ' without '.join([self.name, *effects])
-        changes = {effect: getattr(OFF, effect) for effect in effects}
-        return replace(self, name=name, **changes)
 
 
-EFFECTS = tuple(each.name for each in fields(Preset) if each.name != 'name')
-"""The ten effects, most likely to break transfer to a real sensor first."""
 EASY = Preset('easy')
 """One shape, clean optics and a rigid mount: for a first look and quick tests."""
 
 
-def _read_presets() -> dict[str, Preset]:
-    """Return the presets of ``presets.yaml`` by name; ``without`` has all effects off."""
-    text = Path(__file__).with_name('presets.yaml').read_text(encoding='utf-8')
-    # Eight times as fast, where the library was built with it.
-    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-    presets = {}
-    for name, effects in loader(text).get_single_data().items():
-        changes = {}
-        for effect, values in effects.items():
-            ranges = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-            changes[effect] = replace(getattr(EASY, effect), **ranges)
-        presets[name] = replace(EASY, name=name, **changes)
-    return presets
-
-
-_READ = _read_presets()
-OFF = _READ.pop('without')
-"""No spread, no noise, everything in focus: what an effect becomes when it is switched off."""
-PRESETS: Mapping[str, Preset] = MappingProxyType({'easy': EASY, **_READ})
+_READ = read_data(Path(__file__).with_name('presets.yaml'))
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        'easy': EASY,
+        **{name: structure({'name': name} | _READ[name], Preset, name) for name in _READ},
+    }
+)
 """The presets by name."""
 PAPER_LIKE = PRESETS['paper_like']
 """The conditions of the paper."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 import hashlib
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
 from typing import Final
 from zlib import crc32
@@ -27,14 +26,8 @@ from mixtac_sim.world.profiles import DEMO_MINIMUM_S, PROFILES
 from mixtac_sim.world.trial import Trial, simulate_trial
 
 TRAINING_PROFILES = (
-    'dynamic',
-    'impact',
-    'press',
-    'oscillation',
-    'impact',
-    'dynamic',
-    'static',
-    'demo',
+    *('dynamic', 'impact', 'press', 'oscillation'),
+    *('impact', 'dynamic', 'static', 'demo'),
 )
 """Taken in turn. Impacts come twice: they are short, and a net that saw none misses them."""
 EVALUATION_PROFILES = ('press', 'oscillation', 'impact', 'dynamic', 'static', 'demo')
@@ -155,22 +148,23 @@ def evaluation_plan(
     seconds: float,
     seed: int,
     preset: str = TRAINING_PRESET,
+    profiles: tuple[str, ...] = EVALUATION_PROFILES,
+    first: int = 0,
 ) -> list[TrialSpec]:
-    """Return one trial per profile and sensor with trial seeds that training never uses."""
+    """Return one trial per profile and sensor with trial seeds that training never uses.
+
+    Args:
+        devices: Device seeds.
+        seconds: Length of a trial.
+        seed: Another seed gives other days.
+        preset: Difficulty preset of the sensors.
+        profiles: Force profiles.
+        first: Number of the first trial of a sensor, below 100; equal numbers are one day.
+    """
     return [
         _spec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds, preset)
         for row, device in enumerate(devices)
-        for column, profile in enumerate(EVALUATION_PROFILES)
-    ]
-
-
-def calibration_plan(
-    devices: list[int], seconds: float, seed: int, preset: str = TRAINING_PRESET
-) -> list[TrialSpec]:
-    """Return one more press per sensor, to calibrate it with."""
-    return [
-        _spec(device, UNSEEN + 10_000 * seed + 100 * row + 99, 'press', seconds, preset)
-        for row, device in enumerate(devices)
+        for column, profile in enumerate(profiles, first)
     ]
 
 
@@ -234,11 +228,7 @@ def describe(
     name: str, seed: int, preset: str, split_by: str, trials: list[dataset.TrialSpec]
 ) -> dataset.DatasetDescription:
     """Return the description of trials that this simulator is about to make."""
-    try:
-        version = metadata.version('mixtac_sim')
-    except metadata.PackageNotFoundError:
-        version = 'unknown'
-    generator = {'package': 'mixtac_sim', 'version': version, 'digest': simulator_digest()}
+    generator = {'package': 'mixtac_sim', 'digest': simulator_digest()}
     return dataset.DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)
 
 

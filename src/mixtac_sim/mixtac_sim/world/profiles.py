@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from mixtac_sim import SimulationError
-from mixtac_sim.grids import stream
+from mixtac_sim.grids import log_uniform, stream
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
 from mixtac_sim.mechanics.elastomer import HEMISPHERE, INDENTERS, WEIGHT_20_G, Indenter
 from mixtac_sim.world.effects import EASY, Preset
@@ -138,6 +138,10 @@ def weights(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     return segments
 
 
+BASE_HZ = (8.0, 40.0)
+"""Frequencies at which the base vibrates: tables, pumps, a running arm [Hz] (estimate)."""
+STIFFNESS_N_PER_MM = 3.0
+"""Stiffness of a usual contact: how much force the motion of the base makes [N/mm]."""
 REST_S = 1.6
 """Rest after a touch that the zero is judged by [s]."""
 
@@ -276,9 +280,7 @@ def knocks(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     while end - fall - now > 0.4:
         rest, way = rng.uniform(0.1, 0.35), np.array(_any_way(rng, 0.05, 1.2))
         move = np.clip(place + way, -HANDLING_MM, HANDLING_MM) - place
-        low, high = KNOCK_MM_S
-        speed = low * (high / low) ** rng.random()
-        length = max(float(np.hypot(*move)) / speed, 2e-3)
+        length = max(float(np.hypot(*move)) / log_uniform(rng, KNOCK_MM_S), 2e-3)
         after = force if rng.random() < 0.5 else rng.uniform(0.2, 1.2)
         held = Segment(now, now + rest, Mode.FORCE, (0.0, rest), (force, after))
         knock = Segment(
@@ -330,8 +332,7 @@ def vibration(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     Its place is commanded, as a stiff shaker would do, so the force follows from the layer.
     """
     depth = rng.uniform(*VIBRATION_DEPTH_MM)
-    low, high = VIBRATION_MM
-    tone = Tone(low * (high / low) ** rng.random(), rng.uniform(*VIBRATION_HZ), 0.0, 0.05)
+    tone = Tone(log_uniform(rng, VIBRATION_MM), rng.uniform(*VIBRATION_HZ), 0.0, 0.05)
     rise = min(0.3, 0.1 * span_s)
     top, end = start_s + rise, start_s + 0.9 * span_s
     return [
@@ -457,20 +458,26 @@ def make_profile(
     steps = name == 'static' and preset.contact.staircase
     make_body = staircase if steps else PROFILES[name]
     body = make_body(rng, margin, duration_s - 2.0 * margin)
+    base = stream(seed, 'base')
+    shake_n = STIFFNESS_N_PER_MM * max(base.uniform(*preset.contact.shake_mm), 0.0)
+    shake = (Tone(shake_n, log_uniform(base, BASE_HZ)),) if shake_n > 0.0 else ()
     names = preset.contact.indenters
     tool = INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
     if not synced:
-        return Profile(name, duration_s, _with(tool, body))
+        return Profile(name, duration_s, _with(tool, shake, body))
     first, first_s = sync_impulse(rng, 0.0)
     last, last_s = sync_impulse(rng, duration_s - SYNC_SPAN_S)
-    return Profile(name, duration_s, _with(tool, first + body + last), (first_s, last_s))
+    return Profile(name, duration_s, _with(tool, shake, first + body + last), (first_s, last_s))
 
 
-def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:
-    """Return segments in which another indenter replaces the hemisphere; weights stay."""
-    if tool is HEMISPHERE:
-        return tuple(segments)
-    return tuple(
-        replace(segment, indenter=tool) if segment.indenter is HEMISPHERE else segment
-        for segment in segments
-    )
+def _with(tool: Indenter, shake: tuple[Tone, ...], segments: list[Segment]) -> tuple[Segment, ...]:
+    """Return segments with another indenter than the hemisphere, and on a base that vibrates.
+
+    Weights stay.
+    """
+    changed = []
+    for each in segments:
+        tones = each.tones + shake if each.mode is Mode.FORCE else each.tones
+        used = tool if each.indenter is HEMISPHERE else each.indenter
+        changed.append(replace(each, tones=tones, indenter=used))
+    return tuple(changed)

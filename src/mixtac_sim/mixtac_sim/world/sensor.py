@@ -127,6 +127,7 @@ class TactileSensor:
 
     Attributes:
         device: The sensor's constants.
+        contact_mm: First contact point, right and down from the optical axis [mm].
         configure_aps: Changes when frames are taken, from the next exposure that has not begun.
         configure_pixels: Changes the DVS settings from the next block of 4 ms on, as new biases
             would.
@@ -161,7 +162,7 @@ class TactileSensor:
             slip.friction_load,
             partial_slip=slip.partial_slip,
         )
-        self._contact_mm = conditions.contact_mm
+        self.contact_mm, self._conditions = conditions.contact_mm, conditions
         self._last: tuple[float, Floats] = (0.0, np.zeros(2))
         self._last_slid = np.zeros(3)
         self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
@@ -170,7 +171,12 @@ class TactileSensor:
             lambda k, place: device.beads(layer, place, tools[k : k + 1], self._laws[k : k + 1]),
             conditions.contact_mm,
         )
+        # What falls by its own weight falls on one place.
+        self._second = 0.0 if any(tool.mass_g for tool in tools) else conditions.second
+        x, y = np.add(conditions.contact_mm, conditions.second_mm).tolist()
+        self._other = device.beads(layer, (x, y), tools, self._laws) if self._second else None
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
+        self._rest = rest.copy()
         self._camera = Camera(
             device,
             conditions,
@@ -217,10 +223,16 @@ class TactileSensor:
             right, down = shear_mm[last - 1].tolist()
             tool, elastic_n = int(tools[last - 1]), float(path.elastic_n[last - 1])
             if across is None:
-                return self._beads.place(tool, elastic_n, (right, down))
-            x, y = across.place_mm[last - 1].tolist()
-            turn = float(across.turn_rad[last - 1])
-            return self._sliding_beads.place(tool, elastic_n, (right, down), turn, (x, y))
+                spots = self._beads.place(tool, elastic_n, (right, down))
+            else:
+                x, y = across.place_mm[last - 1].tolist()
+                turn = float(across.turn_rad[last - 1])
+                spots = self._sliding_beads.place(tool, elastic_n, (right, down), turn, (x, y))
+            if self._other is not None:
+                spots += self._other.place(tool, self._second * elastic_n, (0.0, 0.0)) - self._rest
+            grown = self._conditions.growth_at((first + last) * STEP_US)
+            spots[:, :2] += grown * (spots[:, :2] - self.device.lens.centre_px)
+            return spots
 
         travel = self._travel(tools, path.elastic_n, shear_mm)
         if across is not None:
@@ -230,7 +242,7 @@ class TactileSensor:
         t_us = (np.arange(first, first + BLOCK_STEPS, dtype=np.int64) + 1) * STEP_US
         self._last = (float(path.elastic_n[-1]), shear_mm[-1])
         self._block += 1
-        wrench = self._wrench(pull, path.force_n, across)
+        wrench = self._wrench(pull, (1.0 + self._second) * path.force_n, across)
         torque_nm = None if across is None else across.torque_nm
         truth = truth_rows(t_us, wrench, path.depth_mm, torque_nm)
         return SensorOutput(events, frames, truth, t_us, wrench)
@@ -258,7 +270,7 @@ class TactileSensor:
         place, torque_nm = np.zeros(2), np.zeros(1)
         if across is not None:
             place, torque_nm = across.place_mm + across.shear_mm, across.torque_nm
-        x, y = (1e-3 * (here + slid) for here, slid in zip(self._contact_mm, place.T, strict=True))
+        x, y = (1e-3 * (here + slid) for here, slid in zip(self.contact_mm, place.T, strict=True))
         torque_z = x * pull[:, 1] - y * pull[:, 0] + torque_nm
         columns = (pull[:, 0], pull[:, 1], force_n, y * force_n, -x * force_n, torque_z)
         return np.stack(columns, axis=1)

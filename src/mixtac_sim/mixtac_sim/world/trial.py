@@ -18,7 +18,6 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.usb.words import ImuReading
-from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import EASY, Preset, preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
 from mixtac_sim.world.profiles import make_profile
@@ -141,7 +140,6 @@ class TrialStream:
     Attributes:
         spec: The trial.
         profile: The commanded contact.
-        contact_mm: First contact point, right and down from the optical axis [mm].
         reference: The reference force sensor, with its clock.
         sensor: The tactile sensor.
 
@@ -155,7 +153,6 @@ class TrialStream:
             spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=level
         )
         self.sensor = TactileSensor(spec.device_seed, spec.trial_seed, self.profile, preset=level)
-        self.contact_mm = draw_conditions(spec.trial_seed, level).contact_mm
         self.reference = ReferenceSensor(spec.trial_seed, level)
         self._inertial = InertialUnit(spec.trial_seed)
 

@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Presets: `easy` is what it always was, and every effect can be switched off."""
+"""Presets: `easy` is what it always was, and every effect can be seen."""
 
 import hashlib
+from dataclasses import fields, replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from mixtac_sim import SimulationError
-from mixtac_sim.world.effects import EASY, EFFECTS, preset
+from mixtac_sim.world.effects import EASY, GelEffects, LightEffects, Preset, preset
 from mixtac_sim.world.instruments import ReferenceSensor
 from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
@@ -85,22 +86,42 @@ def full():
     return outcome(preset('hard'))
 
 
-@pytest.mark.parametrize('effect', EFFECTS)
+@pytest.mark.parametrize('effect', [each.name for each in fields(Preset)[1:]])
 def test_every_effect_can_be_seen(full, effect):
-    assert full != outcome(preset('hard').without(effect))
+    assert full != outcome(replace(preset('hard'), **{effect: getattr(EASY, effect)}))
 
 
-def test_all_effects_off_leave_a_clean_sensor():
-    clean = preset('hard').without(*EFFECTS)
-    output = TactileSensor(1, 2, make_profile('idle', 1, 1.0, preset=clean), preset=clean).advance(
-        500_000
+def idle(**effects):
+    """Return frames of 0.5 s without contact [n, 260, 346], and the share of ON events."""
+    trial = simulate_trial(1, 2, 'idle', 0.5, preset=replace(EASY, **effects))
+    return trial.frames.astype(float), trial.events.polarity.mean()
+
+
+def test_a_lamp_that_drifts_changes_frames_and_events():
+    rates = ((0.1, 0.1), (-0.1, -0.1))
+    (up, more), (down, less) = (idle(light=LightEffects(supply_per_s=each)) for each in rates)
+    assert up[-1].mean() / up[0].mean() == pytest.approx(1.045, abs=0.01)
+    assert down[-1].mean() / down[0].mean() == pytest.approx(0.955, abs=0.01)
+    assert more > less + 0.2
+
+
+def test_gel_that_grows_moves_what_is_far_from_the_axis():
+    frames = [idle(gel=GelEffects(growth_per_s=(rate, rate)))[0] for rate in (0.0, 0.01)]
+    steady, grown = (np.abs(each[-1] - each[0]) for each in frames)
+    more = (grown - steady) / steady.mean()
+    assert more[:, :60].mean() > 0.2
+    assert abs(more[120:140, 162:182].mean()) < 0.1
+
+
+def test_a_second_contact_adds_its_force():
+    one, two = (
+        simulate_trial(1, 2, 'press', 1.5, preset=replace(EASY, contact=contact))
+        for contact in (EASY.contact, replace(EASY.contact, second=(0.5, 0.5)))
     )
-    assert len(output.events) == 0
-    assert np.all(output.truth['fz'] == 0.0)
+    np.testing.assert_allclose(two.truth['fz'], 1.5 * one.truth['fz'])
+    assert len(two.events) > 1.1 * len(one.events)
 
 
-def test_unknown_names_are_refused():
+def test_an_unknown_preset_is_refused():
     with pytest.raises(SimulationError, match="'easier'"):
         preset('easier')
-    with pytest.raises(SimulationError, match="'weather'"):
-        EASY.without('weather')

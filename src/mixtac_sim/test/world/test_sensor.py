@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole sensor: repeatable, independent of how it is advanced, and alive."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
-from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.effects import EASY, BandwidthEffects, LightEffects, PixelEffects
 from mixtac_sim.world.segments import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 
@@ -141,7 +143,11 @@ def test_a_sliding_contact_does_not_depend_on_how_it_is_advanced():
 
 QUIET = {'shot_hz': 0.0, 'leak_hz': 0.0, 'leak_hz_per_lux': 0.0}
 NO_FRAMES = ApsSettings(first_us=10**9)
-EVEN = EASY.without('pixels', 'light', 'timing')
+EVEN = replace(
+    EASY,
+    pixels=PixelEffects(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0),
+    light=LightEffects(drift_per_s=(0.0, 0.0), hot_pixels=(0, 1), frame_burst=(0.0, 0.0)),
+)
 
 
 def shake(frequency, settings, preset=EVEN, seconds=0.8):
@@ -175,7 +181,9 @@ def test_symmetric_motion_gives_a_line_at_twice_the_drive(symmetric, frequency):
 
 
 def test_bandwidth_takes_fast_vibration_away(symmetric):
-    without = EVEN.without('bandwidth')
+    without = replace(
+        EVEN, bandwidth=BandwidthEffects((1e3, 1e3), (1e3, 1e3), (0.0, 0.0), 0, 0, 0.0)
+    )
     settings = PixelSettings(0.2, 0.2, **QUIET)
     slow, fast = (len(shake(f, settings, without)) / f for f in (60, 200))
     assert fast == pytest.approx(slow, rel=0.1)  # events per period: the motion is the same
