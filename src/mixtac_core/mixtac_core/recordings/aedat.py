@@ -87,7 +87,7 @@ def open_aedat2(
     """
     with path.open('rb') as file:
         start, chip = 0, ''
-        while line := _HEADER_LINE.fullmatch(file.readline(1000)):
+        while line := _HEADER_LINE.fullmatch(file.readline(1 << 16)):
             start = file.tell()
             if b'AEChip:' in line[0]:
                 chip = line[0].partition(b':')[2].decode(errors='replace').strip()

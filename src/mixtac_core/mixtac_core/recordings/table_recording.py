@@ -344,13 +344,13 @@ def _check_events(path: Path, rows: Rows, size: tuple[int, int]) -> None:
     if not (set(values) <= {0, 1} or set(values) <= {-1, 1}):
         raise RecordingError(
             f'{path}: polarity has the values {", ".join(map(str, values[:5]))}',
-            remedy='write 0 and 1, -1 and 1, or true and false',
+            remedy='write 0 and 1, -1 and 1, or true and false (unnamed columns are t, x, y, p)',
         )
     if len(x) and (min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]):
         raise RecordingError(
             f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
             f' outside of {size[0]} x {size[1]} pixels',
-            remedy='give the size of the camera with --size',
+            remedy='give the size of the camera with --size (unnamed columns are t, x, y, p)',
         )
 
 

@@ -106,7 +106,7 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     found = read(path)
     assert_equal(found.events, inside)
     assert found.counters.events_outside == len(EVENTS) - len(inside)
-    assert summarise(path).events['events'].outside == len(EVENTS) - len(inside)
+    assert summarise(path).events['events'].lost.events_outside == len(EVENTS) - len(inside)
 
 
 def test_a_suffix_in_capitals_is_refused_with_the_name_to_give(file, tmp_path):
