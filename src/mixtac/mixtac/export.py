@@ -113,12 +113,10 @@ def import_(
 
 
 def _size(text: str) -> tuple[int, int] | None:
-    if not text:
-        return None
     match = re.fullmatch(r'(\d+)x(\d+)', text)
-    if match is None:
+    if text and match is None:
         raise typer.BadParameter(f'{text!r}: give columns and rows like 346x260')
-    return int(match[1]), int(match[2])
+    return (int(match[1]), int(match[2])) if match else None
 
 
 def inspect(
