@@ -109,15 +109,15 @@ def _camera(recording: Recording, counts: Counts) -> TableParts:
 
 
 def _forces(recording: Recording, counts: Counts) -> TableParts:
-    names = {REFERENCE: topic_file(REFERENCE)}
+    taken = {*TABLES, topic_file(REFERENCE)}
     for topic, parts in recording.wrenches().items():
-        if topic not in names:
-            taken, name = {*TABLES, *names.values()}, topic_file(topic)
-            others = itertools.chain([name], (f'{name}_{n}' for n in itertools.count(2)))
-            names[topic] = next(each for each in others if each not in taken)
+        name = topic_file(topic)
+        while name in taken and topic != REFERENCE:
+            name += '_2'
+        taken.add(name)
         for stamps, values in parts:
             counts.wrenches[topic] = counts.wrenches.get(topic, 0) + len(stamps)
-            yield names[topic], {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
+            yield name, {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
 
 
 def _headings(name: str, columns: Rows) -> list[str]:

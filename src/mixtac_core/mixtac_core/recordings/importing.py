@@ -228,24 +228,13 @@ def _write(
     write_forces(len(stamps_ns))
     if len(stamps_ns):
         counts.wrenches[REFERENCE] = len(stamps_ns)
-        if same_clock:
-            _check_overlap(
-                stamps_ns[[0, -1]] / 1e9, np.array([counts.first_us, counts.last_us]) / 1e6
+        forces_s, camera_s = stamps_ns[[0, -1]] / 1e9, (counts.first_us / 1e6, counts.last_us / 1e6)
+        if same_clock and (forces_s[1] < camera_s[0] or forces_s[0] > camera_s[1]):
+            forces, camera = ('{:.3f} to {:.3f} s'.format(*each) for each in (forces_s, camera_s))
+            raise RecordingError(
+                f'forces of {forces} and camera data of {camera} are not of one clock',
+                remedy='give the units of the times, or leave --same-clock out and align the bag',
             )
     # Closes the packet of the last millisecond.
     writer.events(Events.empty(), counts.last_us + 1000, received_ns)
     return counts
-
-
-def _check_overlap(forces_s: NDArray[np.float64], camera_s: NDArray[np.float64]) -> None:
-    """Refuse forces on the clock of the camera that end before its data begin, or begin later.
-
-    Raises:
-        RecordingError: As above.
-    """
-    if forces_s[1] < camera_s[0] or forces_s[0] > camera_s[1]:
-        forces, camera = (f'{start:.3f} to {end:.3f} s' for start, end in (forces_s, camera_s))
-        raise RecordingError(
-            f'forces of {forces} and camera data of {camera} are not of one clock',
-            remedy='give the units of the times, or leave --same-clock out and align the bag',
-        )

@@ -157,10 +157,10 @@ class RecordingInfo:
     Attributes:
         path: File or folder.
         kind: Format, as shown to users.
-        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
-            empty where none is recorded.
         width: Columns of the camera.
         height: Rows of the camera.
+        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
+            empty where none is recorded.
         color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
         start_us: Time of the first event, or of the first piece of a recording without events [us,
             recorded camera clock].
@@ -174,13 +174,13 @@ class RecordingInfo:
 
     path: Path
     kind: str
-    camera: str
     width: int
     height: int
-    color_filter: int
-    start_us: int
-    length_us: int
-    contents: tuple[tuple[str, str], ...]
+    camera: str = ''
+    color_filter: int = 0
+    start_us: int = 0
+    length_us: int = 0
+    contents: tuple[tuple[str, str], ...] = ()
     size_known: bool = True
     damage: str = ''
 
