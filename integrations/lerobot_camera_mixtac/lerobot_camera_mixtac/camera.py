@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A camera of LeRobot (`type: mixtac`) whose image is the difference to the untouched sensor.
 
-Grey is no difference. The force of the same sensor is at `MixtacCamera.sensor`: LeRobot has no
-class for tactile sensors yet (its pull request 4469 is open).
+Grey is no difference. `MixtacCamera.read_wrench` returns the force of the same sensor. LeRobot 0.6
+has no class for tactile sensors yet; `find_sensors`, `connect`, `is_connected` and the shape of the
+wrench are those of its pull request 4469.
 """
 
 from __future__ import annotations
@@ -81,6 +82,8 @@ class MixtacCamera(Camera):
             for bus, address in sorted(attached_cameras('davis346'))
         ]
 
+    find_sensors = find_cameras
+
     def connect(self, warmup: bool = True) -> None:
         """Open the sensor, and wait for its first picture if `warmup` is set.
 
@@ -120,6 +123,20 @@ class MixtacCamera(Camera):
         """
         self._check()
         return self._image(self.sensor.pictures.read_latest(max_age_ms))
+
+    def read_wrench(self, max_age_ms: int = 500) -> NDArray[np.float32]:
+        """Return the latest force at once, without a wait: the picture sets the pace of a loop.
+
+        Returns:
+            Force [N] and torque [N m] at one point, float32 [1, 6], in the frame `mixtac_contact`:
+            z points from the contact into the gel, so that a press is positive. Only z is
+            measured, the others are 0. z is NaN while the force is withheld.
+
+        Raises:
+            TimeoutError: It is older.
+        """
+        self._check()
+        return np.array([[0, 0, self.sensor.read_latest(max_age_ms).force, 0, 0, 0]], np.float32)
 
     def disconnect(self) -> None:
         """Close the sensor."""

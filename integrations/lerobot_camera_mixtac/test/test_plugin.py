@@ -32,7 +32,7 @@ def test_lerobot_finds_the_camera_and_records_an_episode(tmp_path):
             'shape': shape,
             'names': ['height', 'width', 'channels'],
         },
-        'observation.force': {'dtype': 'float32', 'shape': (1,), 'names': ['normal']},
+        'observation.wrench': {'dtype': 'float32', 'shape': (1, 6), 'names': None},
     }
     root = tmp_path / 'episode'
     dataset = datasets.LeRobotDataset.create(
@@ -41,9 +41,9 @@ def test_lerobot_finds_the_camera_and_records_an_episode(tmp_path):
     with camera:
         for _ in range(FRAMES):
             image = camera.read()
-            force = np.array([camera.sensor.read_latest().force], np.float32)
+            wrench = camera.read_wrench()
             dataset.add_frame(
-                {'observation.images.touch': image, 'observation.force': force, 'task': 'press'}
+                {'observation.images.touch': image, 'observation.wrench': wrench, 'task': 'press'}
             )
         assert image.shape == shape
         assert image.dtype == np.uint8

@@ -58,11 +58,11 @@ def export(
         console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
-    _warn(console, counts.warnings())
+    _warn(console, [counts.info.damage, *counts.warnings()])
 
 
 def _warn(console: Console, warnings: list[str]) -> None:
-    for each in warnings:
+    for each in filter(None, warnings):
         console.print(f'warning: {each}', style='yellow')
 
 
@@ -93,11 +93,11 @@ def import_(
         counts = import_recording(
             source, out, forces=forces, same_clock=same_clock, options=options, selection=selection
         )
-    wrenches, seconds = counts.wrenches.get(REFERENCE, 0), 1e-6 * counts.length_us
+    wrenches = counts.wrenches.get(REFERENCE, 0)
     console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
     console.print(
-        f'{seconds:.3f} s, {counts.events / max(seconds, 1e-6):.3g} events/s, times on a grid of'
-        f' {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
+        f'{counts.seconds:.3f} s, {counts.events / max(counts.seconds, 1e-6):.3g} events/s, times'
+        f' on a grid of {counts.grid_us} us, {counts.info.width} x {counts.info.height} pixels'
     )
     if same_clock and wrenches:
         one = ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), np.zeros(0), method='one clock')
@@ -109,16 +109,14 @@ def import_(
         figures |= {'forces': wrenches, 'imported_from': source.name}
         console.print(f'described in {add_recording(out, figures, profile=profile, split=split)}')
     lacking = [] if counts.frames else ['no frames: the force cannot be estimated']
-    _warn(console, lacking + counts.warnings())
+    _warn(console, [*lacking, counts.info.damage, *counts.warnings()])
 
 
 def _size(text: str) -> tuple[int, int] | None:
-    if not text:
-        return None
     match = re.fullmatch(r'(\d+)x(\d+)', text)
-    if match is None:
+    if text and match is None:
         raise typer.BadParameter(f'{text!r}: give columns and rows like 346x260')
-    return int(match[1]), int(match[2])
+    return (int(match[1]), int(match[2])) if match else None
 
 
 def inspect(
@@ -147,7 +145,7 @@ def inspect(
     rows = []
     for topic, count in sorted(summary.counts.items()):
         events = summary.events.get(topic)
-        counted = (events.events, events.lost_packets) if events else ('', '')
+        counted = (events.events, events.lost.packets_missing) if events else ('', '')
         rows.append((topic, summary.types[topic], count, *counted))
     headings = ('topic', 'type', 'messages', 'events', 'lost packets')
     console.print(make_table(f'{bag}, {summary.duration_s:.1f} s', headings, rows, words=2))
@@ -169,4 +167,4 @@ def repair(
     console.print(f'{out}: {counts.total()} messages')
     for topic, count in sorted(counts.items()):
         console.print(f'{topic}: {count} messages')
-    _warn(console, [damage] if damage else [])
+    _warn(console, [damage])

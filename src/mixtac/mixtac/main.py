@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
+from threading import Timer
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -226,15 +227,18 @@ def error_text(error: Any) -> str:  # noqa: ANN401
 def noting_interrupt(noted: list[int]) -> Iterator[None]:
     """Raise KeyboardInterrupt on Ctrl-C, and note that in a list."""
 
-    def interrupt(number: int, _frame: object) -> None:
+    def interrupt(number: int, frame: Any) -> None:  # noqa: ANN401
         noted.append(number)
-        raise KeyboardInterrupt
+        while frame and 'llvmlite' not in frame.f_code.co_filename:
+            frame = frame.f_back
+        if not frame:
+            raise KeyboardInterrupt
+        # What is raised while LLVM calls back is lost, or ends the process.
+        Timer(0.05, signal.raise_signal, [number]).start()
 
     handled = signal.getsignal(signal.SIGINT)
-    if handled is not signal.default_int_handler:
-        yield
-        return
-    signal.signal(signal.SIGINT, interrupt)
+    if handled is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     finally:

@@ -4,14 +4,16 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import time
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
-from mixtac.main import main
+from mixtac.main import main, noting_interrupt
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
@@ -95,6 +97,18 @@ def test_ctrl_c_while_a_command_starts_ends_it_with_one_line(ros_domain, tmp_pat
         words, env=ros_domain, cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (result.returncode, result.stderr) == (130, 'interrupted\n')
+
+
+def test_ctrl_c_while_llvm_calls_back_ends_what_follows():
+    handled = signal.signal(signal.SIGINT, signal.default_int_handler)
+    returned: list[int] = []
+    text = compile('kill(2); note(1)', 'llvmlite', 'exec')
+    names = {'kill': signal.raise_signal, 'note': returned.append}
+    with pytest.raises(KeyboardInterrupt), noting_interrupt([]):  # noqa: PT012
+        exec(text, names)
+        time.sleep(10)
+    signal.signal(signal.SIGINT, handled)
+    assert returned
 
 
 def test_an_unknown_device_is_refused(ros_domain: dict[str, str], tmp_path: Path):

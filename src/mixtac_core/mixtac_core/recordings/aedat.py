@@ -19,6 +19,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -87,7 +88,7 @@ def open_aedat2(
     """
     with path.open('rb') as file:
         start, chip = 0, ''
-        while line := _HEADER_LINE.fullmatch(file.readline(1000)):
+        while line := _HEADER_LINE.fullmatch(file.readline(1 << 16)):
             start = file.tell()
             if b'AEChip:' in line[0]:
                 chip = line[0].partition(b':')[2].decode(errors='replace').strip()
@@ -103,7 +104,7 @@ def open_aedat2(
     streams: Streams = {}
     if selection.events != NONE:
         streams['events'] = partial(_events_of_words, path, start, size[0], counters)
-    return FileRecording(path, 'AEDAT 2 file', streams, size, counters=counters)
+    return FileRecording(RecordingInfo(path, 'AEDAT 2 file', *size), streams, counters=counters)
 
 
 def _events_of_words(path: Path, start: int, width: int, counters: ReadCounters) -> Iterator[Rows]:
@@ -153,20 +154,19 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
     camera = '' if selection.events == NONE else selection.events
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
     streams: Streams = {}
-    try:
-        _check(path, camera)
+    _check(path, camera)
+    with _refusing_damage(path):
         file = _open(path, camera)
         for kind, (table, following, convert) in _STREAMS.items():
             if wanted.get(kind) != NONE and getattr(file, f'is{kind.title()}StreamAvailable')():
                 streams[table] = partial(_rows, path, camera, following, convert)
         size = file.getEventResolution() or file.getFrameResolution()
-        _, end_us = file.getTimeRange()
-    except RuntimeError as error:
-        raise _damaged(path, _cause(error)) from error
+        start_us, end_us = file.getTimeRange()
     if not streams.keys() - {'edges'} or not size:
         raise DamagedRecordingError(f'{path} holds no data of a camera with its size')
-    name = file.getCameraName()
-    return FileRecording(path, 'AEDAT4 file', streams, size, camera=name, end_us=end_us)
+    name, length_us = str(file.getCameraName()), end_us - start_us
+    info = RecordingInfo(path, 'AEDAT4 file', size[0], size[1], name, length_us=length_us)
+    return FileRecording(info, streams)
 
 
 def _open(path: Path, camera: str) -> Any:  # noqa: ANN401
@@ -180,17 +180,15 @@ def _check(path: Path, camera: str) -> None:
         DamagedRecordingError: It does not, or crashes.
     """
     following = [name for _, name, _ in _STREAMS.values()]
-    try:
-        status = subprocess.run(
-            [sys.executable, '-c', _CHECK, str(path), camera, *following],
-            check=False,
-            capture_output=True,
-            timeout=PATIENCE_S + path.stat().st_size / SLOWEST,
-        ).returncode
-    except subprocess.TimeoutExpired:
-        status = -1
-    if status < 0:
-        raise _damaged(path, 'dv-processing crashes or never returns')
+    command = [sys.executable, '-c', _CHECK, str(path), camera, *following]
+    limit_s = PATIENCE_S + path.stat().st_size / SLOWEST
+    with _refusing_damage(path):
+        try:
+            done = subprocess.run(command, check=False, capture_output=True, timeout=limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise RuntimeError('dv-processing never returns') from error
+        if done.returncode < 0:
+            raise RuntimeError('dv-processing crashes')
 
 
 def _rows(
@@ -201,21 +199,23 @@ def _rows(
     Raises:
         DamagedRecordingError: The file is damaged.
     """
-    file = _open(path, camera)
-    try:
+    with _refusing_damage(path):
+        file = _open(path, camera)
         while (packet := getattr(file, following)()) is not None:
             rows = convert(packet)
             if len(next(iter(rows.values()))):
                 yield rows
+
+
+@contextmanager
+def _refusing_damage(path: Path) -> Iterator[None]:
+    try:
+        yield
     except RuntimeError as error:
-        raise _damaged(path, _cause(error)) from error
-
-
-def _damaged(path: Path, cause: str) -> DamagedRecordingError:
-    return DamagedRecordingError(
-        f'{path} is damaged or not an AEDAT4 file ({cause})',
-        remedy='copy it again, or open it in DV and save what it reads',
-    )
+        raise DamagedRecordingError(
+            f'{path} is damaged or not an AEDAT4 file ({_cause(error)})',
+            remedy='copy it again, or open it in DV and save what it reads',
+        ) from error
 
 
 def _cause(error: Exception) -> str:

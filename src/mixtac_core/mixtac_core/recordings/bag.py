@@ -38,6 +38,7 @@ from mixtac_core.node.topics import stamp_to_ns
 from mixtac_core.recordings.recording import (
     BAG_SUFFIXES,
     ROS1_SUFFIX,
+    ZSTD,
     DamagedRecordingError,
     RecordingError,
     not_a_recording,
@@ -106,7 +107,7 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.is_ros1 = path.suffix.lower() == ROS1_SUFFIX and path.is_file()
+        self.is_ros1 = path.suffix == ROS1_SUFFIX and path.is_file()
         if not path.exists():
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._readers: list[Any] = []
@@ -166,7 +167,9 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
             read = reader.deserialize if self.is_ros1 else typestore().deserialize_cdr
             try:
                 for each, received_ns, data in reader.messages(chosen) if chosen else ():
-                    message = data if each.topic in raw else read(data, each.msgtype)
+                    # Compressed one by one; others begin with a zero.
+                    plain = _expand(data) if data[:4] == ZSTD.magic else data
+                    message = plain if each.topic in raw else read(plain, each.msgtype)
                     yield each.topic, received_ns, message
             except Exception as error:  # the parsers raise whatever damage leads them to
                 raise self._damaged(error) from error
@@ -193,9 +196,6 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
         named = {Path(str(each)).name for each in facts.get('relative_file_paths') or ()}
         lost = sorted(named - {each.name for each in files})
         self._missing += [f'missing files: {", ".join(lost)}'] if lost else []
-        if folder and str(facts.get('compression_mode')).upper() == 'MESSAGE':
-            # The library expands what is compressed by message, as metadata.yaml says.
-            files = [folder]
         cause: Exception | None = None
         for path in files:
             try:
@@ -208,7 +208,7 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
         self._readers.sort(key=lambda each: each.start_time)
 
     def _opened(self, path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
-        """Open a file of the bag, or the folder of a bag that is compressed by message."""
+        """Open a file of the bag."""
         if path.suffix == '.zstd':
             folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
             expanded = Path(folder) / path.stem
@@ -240,6 +240,10 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
         return DamagedRecordingError(
             f'{self.path} is damaged or not a bag ({reason(error)})', remedy=remedy
         )
+
+
+def _expand(data: bytes) -> bytes:
+    return zstandard.ZstdDecompressor().decompressobj().decompress(data)
 
 
 _SIX = attrgetter('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z')
@@ -369,7 +373,7 @@ def is_bag(path: Path) -> bool:
     """Return whether a path is that of a bag: a folder with its files, or a file by its name."""
     if path.is_dir():
         return (path / 'metadata.yaml').exists() or any(map(is_storage, path.iterdir()))
-    return is_storage(path) or path.suffix.lower() == ROS1_SUFFIX
+    return is_storage(path) or path.suffix == ROS1_SUFFIX
 
 
 def _facts(bag: Path) -> dict[str, Any]:

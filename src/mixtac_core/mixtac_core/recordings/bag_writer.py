@@ -12,10 +12,10 @@ from collections import Counter, deque
 from pathlib import Path
 from types import MappingProxyType
 
-from rosbags import interfaces
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from mixtac_core.node.files import new_folder
@@ -27,6 +27,10 @@ FLUSH_PERIOD_S = 0.02
 """Time between two turns of the writing thread: to wake it for each message costs more [s]."""
 RESERVE = 1 << 26
 """Space left free for the end of a live recording: index and metadata of about 80 hours [bytes]."""
+QOS = """- {history: keep_last, depth: 1000, reliability: reliable, durability: DURABILITY,
+  deadline: {sec: 0, nsec: 0}, lifespan: {sec: 0, nsec: 0}, liveliness: automatic,
+  liveliness_lease_duration: {sec: 0, nsec: 0}, avoid_ros_namespace_conventions: false}"""
+"""Quality of service of a topic, as bags hold it."""
 _CHECKSUM_AT = 1 + 8 + 3 * 8
 """Place of the checksum in a chunk record: after code, length, two times and a size."""
 
@@ -70,23 +74,9 @@ class McapBag(Writer):
             type_name: For example `sensor_msgs/msg/Image`.
             latched: True for transient local, as `ros2 bag play` then offers it.
         """
-        zero = interfaces.QosTime(0, 0)
-        qos = interfaces.Qos(
-            history=interfaces.QosHistory.KEEP_LAST,
-            depth=1000,
-            reliability=interfaces.QosReliability.RELIABLE,
-            durability=interfaces.QosDurability.TRANSIENT_LOCAL
-            if latched
-            else interfaces.QosDurability.VOLATILE,
-            deadline=zero,
-            lifespan=zero,
-            liveliness=interfaces.QosLiveliness.AUTOMATIC,
-            liveliness_lease_duration=zero,
-            avoid_ros_namespace_conventions=False,
-        )
-        return self.add_connection(
-            topic, type_name, typestore=typestore(), offered_qos_profiles=(qos,)
-        )
+        qos = parse_qos(QOS.replace('DURABILITY', 'transient_local' if latched else 'volatile'))
+        types = typestore()
+        return self.add_connection(topic, type_name, typestore=types, offered_qos_profiles=qos)
 
     def add_topics_of(self, bag: BagFile, without: str = '') -> dict[str, Connection]:
         """Announce the topics of another bag, and copy the custom data of its writer.

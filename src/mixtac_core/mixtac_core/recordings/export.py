@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -26,13 +25,12 @@ from mixtac_core.recordings.aedat import write_aedat4
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_core.recordings.recording import (
-    Piece,
-    ReadCounters,
     Recording,
     RecordingError,
     RecordingInfo,
     Selection,
 )
+from mixtac_core.recordings.summary import Counts
 from mixtac_core.recordings.tables import (
     AXES,
     HDF5_FILE,
@@ -48,72 +46,8 @@ PIECES: Final = 500
 """Pieces that are written at once."""
 HDF5_ROWS: Final = 1 << 14
 """Rows of a chunk: those of a chunk fit into the library's cache."""
-LEAST_HZ: Final = 10.0
-"""Fewer events per second than the noise of any event camera [1/s]."""
-MOST_HZ: Final = 1e8
-"""More events per second than any event camera sends [1/s]."""
-COARSEST_US: Final = 1000
-"""Least grid of the times of events that is reported [us]: windows are of milliseconds."""
 TableParts = Iterator[tuple[str, Rows]]
 """Rows of tables in recorded order: the name of a table, and its columns of equal length."""
-
-
-@dataclass
-class Counts:
-    """Numbers of exported or imported readings.
-
-    Attributes:
-        info: Description of the recording.
-        lost: Events and packets that the recording lacks, or that were left out.
-        events: Events.
-        frames: Frames.
-        samples: Inertial samples.
-        edges: Edges.
-        wrenches: Wrenches by topic.
-        length_us: From the first to the last time [us]; known after an import.
-        grid_us: Greatest common divisor of the times between events [us]; 0 if unknown.
-    """
-
-    info: RecordingInfo
-    lost: ReadCounters
-    events: int = 0
-    frames: int = 0
-    samples: int = 0
-    edges: int = 0
-    wrenches: dict[str, int] = field(default_factory=dict)
-    length_us: int = 0
-    grid_us: int = 0
-    _latest_us: int | None = None
-
-    def add(self, piece: Piece) -> None:
-        """Count the readings of a piece."""
-        self.events += len(piece.events)
-        self.samples += len(piece.imu.t)
-        self.frames += len(piece.frames)
-        self.edges += len(piece.edges.t)
-        if len(piece.events) and self.grid_us != 1:
-            t = piece.events.t
-            steps = np.diff(t, prepend=t[0] if self._latest_us is None else self._latest_us)
-            self.grid_us = int(np.gcd.reduce(steps, initial=self.grid_us))
-            self._latest_us = int(t[-1])
-
-    def warnings(self) -> list[str]:
-        """Return missing and doubtful parts, one line for each."""
-        found = [self.info.damage] if self.info.damage else []
-        found += self.lost.warnings()
-        if not self.info.size_known:
-            found.append(
-                f'the file states no size of the camera: {self.info.width} x {self.info.height} is'
-                ' assumed, give it with --size'
-            )
-        rate_hz = self.events / (1e-6 * self.length_us) if self.length_us else 0.0
-        if self.events and self.length_us and not LEAST_HZ < rate_hz < MOST_HZ:
-            found.append(f'{rate_hz:.3g} events per second: check the unit of their times')
-        if self.grid_us >= COARSEST_US:
-            found.append(
-                f'times of events are on a grid of {self.grid_us} us, too coarse for 1 ms windows'
-            )
-        return found
 
 
 def export_recording(
@@ -175,15 +109,15 @@ def _camera(recording: Recording, counts: Counts) -> TableParts:
 
 
 def _forces(recording: Recording, counts: Counts) -> TableParts:
-    names = {REFERENCE: topic_file(REFERENCE)}
+    taken = {*TABLES, topic_file(REFERENCE)}
     for topic, parts in recording.wrenches().items():
-        if topic not in names:
-            taken, name = {*TABLES, *names.values()}, topic_file(topic)
-            others = itertools.chain([name], (f'{name}_{n}' for n in itertools.count(2)))
-            names[topic] = next(each for each in others if each not in taken)
+        name = topic_file(topic)
+        while name in taken and topic != REFERENCE:
+            name += '_2'
+        taken.add(name)
         for stamps, values in parts:
             counts.wrenches[topic] = counts.wrenches.get(topic, 0) + len(stamps)
-            yield names[topic], {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
+            yield name, {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
 
 
 def _headings(name: str, columns: Rows) -> list[str]:

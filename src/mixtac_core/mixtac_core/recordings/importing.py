@@ -27,8 +27,8 @@ from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, check_new, typestore
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.camera_stream import open_recording
-from mixtac_core.recordings.export import Counts
 from mixtac_core.recordings.recording import Recording, RecordingError, Selection
+from mixtac_core.recordings.summary import Counts
 from mixtac_core.recordings.table_recording import table_wrenches
 from mixtac_core.recordings.tables import TableOptions
 
@@ -195,9 +195,9 @@ def _write(
 ) -> Counts:
     counts = Counts(recording.info, recording.counters)
     # Of another clock only the time since the first sample can be compared.
-    origin_ns = 0 if same_clock or not len(stamps_ns) else int(stamps_ns[0])
+    other_clock = len(stamps_ns) and not same_clock
+    origin_ns = int(stamps_ns[0]) - 1000 * recording.info.start_us if other_clock else 0
     due_ns = np.maximum.accumulate(stamps_ns) - origin_ns
-    reached_us = start_us = latest_us = -1
     written = received_ns = 0
 
     def write_forces(until: int) -> None:
@@ -206,60 +206,35 @@ def _write(
             writer.wrench(REFERENCE_WRENCH, force_ns, values[row], REFERENCE_FRAME, due)
 
     for piece in recording.pieces():
-        if start_us < 0:
-            start_us = piece.start_us
-            due_ns += 0 if same_clock else 1000 * start_us
-        reached_us = max(reached_us, piece.until_us)
-        received_ns = 1000 * reached_us
+        counts.add(piece)
+        if counts.backward_steps:
+            raise RecordingError(
+                f'events go back in time at {counts.back_us} us',
+                remedy='sort them by time (unnamed columns are t, x, y, p), and cut a recording'
+                ' where its clock was reset',
+            )
+        received_ns = 1000 * counts.last_us
         until = int(np.searchsorted(due_ns, received_ns, 'right'))
         write_forces(until)
         written = until
         if len(piece.events):
-            latest_us = _checked_end(piece.events, latest_us)
             writer.events(piece.events, piece.until_us, received_ns)
         for frame in piece.frames:
             writer.frame(frame, 0, received_ns)
         writer.samples(piece.imu, 0, received_ns)
         writer.edges(piece.edges, 0, received_ns)
-        counts.add(piece)
-    if start_us < 0:
+    if not received_ns:
         raise RecordingError('there is nothing to import: no events and no frames')
     write_forces(len(stamps_ns))
     if len(stamps_ns):
         counts.wrenches[REFERENCE] = len(stamps_ns)
-        if same_clock:
-            _check_overlap(stamps_ns[[0, -1]] / 1e9, np.array([start_us, reached_us]) / 1e6)
-    counts.length_us = reached_us - start_us
+        forces_s, camera_s = stamps_ns[[0, -1]] / 1e9, (counts.first_us / 1e6, counts.last_us / 1e6)
+        if same_clock and (forces_s[1] < camera_s[0] or forces_s[0] > camera_s[1]):
+            forces, camera = ('{:.3f} to {:.3f} s'.format(*each) for each in (forces_s, camera_s))
+            raise RecordingError(
+                f'forces of {forces} and camera data of {camera} are not of one clock',
+                remedy='give the units of the times, or leave --same-clock out and align the bag',
+            )
     # Closes the packet of the last millisecond.
-    writer.events(Events.empty(), reached_us + 1000, 1000 * reached_us)
+    writer.events(Events.empty(), counts.last_us + 1000, received_ns)
     return counts
-
-
-def _check_overlap(forces_s: NDArray[np.float64], camera_s: NDArray[np.float64]) -> None:
-    """Refuse forces on the clock of the camera that end before its data begin, or begin later.
-
-    Raises:
-        RecordingError: As above.
-    """
-    if forces_s[1] < camera_s[0] or forces_s[0] > camera_s[1]:
-        forces, camera = (f'{start:.3f} to {end:.3f} s' for start, end in (forces_s, camera_s))
-        raise RecordingError(
-            f'forces of {forces} and camera data of {camera} are not of one clock',
-            remedy='give the units of the times, or leave --same-clock out and align the bag',
-        )
-
-
-def _checked_end(events: Events, latest_us: int) -> int:
-    """Return the time of the last event [us].
-
-    Raises:
-        RecordingError: One is earlier than the one before.
-    """
-    back = np.flatnonzero(np.diff(events.t, prepend=np.int64(max(latest_us, 0))) < 0)
-    if len(back):
-        raise RecordingError(
-            f'events go back in time at {int(events.t[back[0]])} us',
-            remedy='sort them by time (columns without headings are t, x, y, p), and cut a'
-            ' recording where its clock was reset',
-        )
-    return int(events.t[-1])

@@ -65,6 +65,7 @@ _EXPORT = 'export events as csv with columns t, x, y, p and run `mixtac import` 
 _METAVISION = f'with metavision_file_to_csv {_EXPORT}'
 AEDAT4 = FileFormat('AEDAT4', b'#!AER-DAT4', (AEDAT4_SUFFIX,))
 AEDAT2 = FileFormat('AEDAT 2', b'#!AER-DAT2', ('.aedat',))
+ZSTD = FileFormat('zstd', b'\x28\xb5\x2f\xfd', ('.zst', '.zstd'), 'expand it with `zstd -d`')
 FORMATS = (
     FileFormat('rosbag2 (MCAP)', b'\x89MCAP0\r\n', BAG_SUFFIXES[:1]),
     FileFormat('rosbag2 (sqlite3)', b'SQLite format 3\0', BAG_SUFFIXES[1:]),
@@ -74,12 +75,14 @@ FORMATS = (
     FileFormat('HDF5', b'\x89HDF', HDF5_SUFFIXES),
     FileFormat('NPZ', b'PK\x03\x04', (NPZ_SUFFIX,)),
     FileFormat('csv', b'', TEXT_SUFFIXES),
+    FileFormat('AEDAT 1', b'#!AER-DAT1', ('.aedat',), f'open it in jAER, {_EXPORT}'),
     FileFormat('AEDAT 3', b'#!AER-DAT3', ('.aedat',), f'open it in DV, {_EXPORT}'),
     FileFormat('Prophesee DAT', b'% Data file', ('.dat',), _METAVISION),
     FileFormat('Prophesee RAW', b'% ', ('.raw',), _METAVISION),
     FileFormat('Event Stream', b'Event Stream', ('.es',), f'with the package loris {_EXPORT}'),
     FileFormat('pointer of git-lfs', b'version https://git-lfs', (), 'run `git lfs pull`'),
-    FileFormat('zstd', b'\x28\xb5\x2f\xfd', ('.zst', '.zstd'), 'expand it with `zstd -d`'),
+    FileFormat('gzip', b'\x1f\x8b', ('.gz',), 'expand it with `gzip -d`'),
+    ZSTD,
 )
 """File formats by name: those that are read, and others with what to do."""
 
@@ -104,7 +107,7 @@ def not_a_recording(path: Path) -> RecordingError:
         remedy = '`mixtac inspect --formats` lists the formats that are read'
         return RecordingError(f'{path} is no recording: a {what}', remedy=remedy)
     remedy = known.remedy or f'run `mixtac import` on it as {path.stem}{known.suffixes[0]}'
-    return RecordingError(f'{path} is no bag but {known.name}', remedy=remedy)
+    return RecordingError(f'{path} is of the format {known.name}', remedy=remedy)
 
 
 LATEST_US = (1 << 31) * 1_000_000 - 1
@@ -154,10 +157,10 @@ class RecordingInfo:
     Attributes:
         path: File or folder.
         kind: Format, as shown to users.
-        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
-            empty where none is recorded.
         width: Columns of the camera.
         height: Rows of the camera.
+        camera: Serial number of the camera, or its name as in AEDAT4 files (`DAVIS346_SERIAL`);
+            empty where none is recorded.
         color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
         start_us: Time of the first event, or of the first piece of a recording without events [us,
             recorded camera clock].
@@ -171,13 +174,13 @@ class RecordingInfo:
 
     path: Path
     kind: str
-    camera: str
     width: int
     height: int
-    color_filter: int
-    start_us: int
-    length_us: int
-    contents: tuple[tuple[str, str], ...]
+    camera: str = ''
+    color_filter: int = 0
+    start_us: int = 0
+    length_us: int = 0
+    contents: tuple[tuple[str, str], ...] = ()
     size_known: bool = True
     damage: str = ''
 

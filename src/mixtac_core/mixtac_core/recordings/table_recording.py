@@ -62,13 +62,8 @@ class FileRecording:
     """A file, or a folder of files, with streams of rows.
 
     Args:
-        path: The file or the folder.
-        kind: Its format, as shown to users.
+        info: Its description, without start and contents.
         streams: Its streams; times in microseconds, frames of 10 bits.
-        size: Width and height of the camera.
-        camera: Name of the camera.
-        end_us: Time of the last reading [us], 0 if unknown.
-        size_known: False where the file does not state the size.
         counters: Losses that the streams count.
         forces: What reads the reference force; None if there is none.
 
@@ -82,14 +77,9 @@ class FileRecording:
 
     def __init__(
         self,
-        path: Path,
-        kind: str,
+        info: RecordingInfo,
         streams: Streams,
-        size: tuple[int, int],
         *,
-        camera: str = '',
-        end_us: int = 0,
-        size_known: bool = True,
         counters: ReadCounters | None = None,
         forces: Callable[[], Wrenches] | None = None,
     ) -> None:
@@ -98,21 +88,11 @@ class FileRecording:
         starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
         if not starts:
             raise RecordingError(
-                f'{path} holds nothing: no events and no frames',
+                f'{info.path} holds nothing: no events and no frames',
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
-        self.info = RecordingInfo(
-            path=path,
-            kind=kind,
-            camera=camera,
-            width=size[0],
-            height=size[1],
-            color_filter=0,
-            start_us=min(starts),
-            length_us=max(end_us - min(starts), 0),
-            contents=tuple((name, name) for name in streams),
-            size_known=size_known,
-        )
+        contents = tuple((name, name) for name in streams)
+        self.info = replace(info, start_us=min(starts), contents=contents)
 
     def pieces(self) -> Generator[Piece, None, None]:
         """Yield what was recorded, merged by time, without events outside of the camera.
@@ -205,7 +185,8 @@ def open_table_recording(
     }
     name, unit = topic_file(REFERENCE), options.force_unit
     forces = partial(_force_rows, path, name, tables[name], unit) if name in tables else None
-    return FileRecording(path, 'tables', streams, size, size_known=bool(known), forces=forces)
+    info = RecordingInfo(path, 'tables', *size, size_known=bool(known))
+    return FileRecording(info, streams, forces=forces)
 
 
 def table_wrenches(path: Path, options: TableOptions) -> Wrenches:
@@ -344,13 +325,13 @@ def _check_events(path: Path, rows: Rows, size: tuple[int, int]) -> None:
     if not (set(values) <= {0, 1} or set(values) <= {-1, 1}):
         raise RecordingError(
             f'{path}: polarity has the values {", ".join(map(str, values[:5]))}',
-            remedy='write 0 and 1, -1 and 1, or true and false',
+            remedy='write 0 and 1, -1 and 1, or true and false (unnamed columns are t, x, y, p)',
         )
     if len(x) and (min(x.min(), y.min()) < 0 or x.max() >= size[0] or y.max() >= size[1]):
         raise RecordingError(
             f'events at {int(x.min())} .. {int(x.max())}, {int(y.min())} .. {int(y.max())} are'
             f' outside of {size[0]} x {size[1]} pixels',
-            remedy='give the size of the camera with --size',
+            remedy='give the size of the camera with --size (unnamed columns are t, x, y, p)',
         )
 
 

@@ -233,28 +233,34 @@ def stated_size(path: Path) -> tuple[int, int] | None:
     Args:
         path: File of events, or a folder with such a file.
     """
-    paths = [path / f'events{each}' for each in TEXT_SUFFIXES] if path.is_dir() else [path]
-    for text in (each for each in paths if each.suffix in TEXT_SUFFIXES and each.is_file()):
-        rows = [each.replace(',', ' ').split() for each in itertools.islice(_lines(text), 2)]
-        if [len(row) for row in rows] == [2, 4] and ''.join(rows[0]).isdigit():
-            return int(rows[0][0]), int(rows[0][1])
+    paths = [each for each in path.iterdir() if each.stem == 'events'] if path.is_dir() else [path]
+    texts = (each for each in paths if each.is_file() and each.suffix.lower() in TEXT_SUFFIXES)
+    return next(
+        filter(None, (_size_in(*itertools.islice(_lines(each), 2)) for each in texts)), None
+    )
+
+
+def _size_in(first: str = '', second: str = '') -> tuple[int, int] | None:
+    """Return width and height if they are the first of two lines, before one of four columns."""
+    rows = [each.replace(',', ' ').split() for each in (first, second)]
+    if [len(row) for row in rows] == [2, 4] and ''.join(rows[0]).isdigit():
+        return int(rows[0][0]), int(rows[0][1])
     return None
 
 
 def _read_csv(path: Path) -> Iterator[Block]:
     with contextlib.closing(_lines(path)) as lines:
-        rest: Iterator[str]
-        first = next(lines, '')
-        if stated_size(path):
-            first = next(lines)
+        head = list(itertools.islice(lines, 2))
+        rest = itertools.chain(head[1 if _size_in(*head) else 0 :], lines)
+        first = next(rest, '')
         if not first:
             raise RecordingError(f'{path} is empty', remedy='give a table with rows')
         separator = ',' if ',' in first else None
         cells = next(csv.reader([first], skipinitialspace=True)) if separator else first.split()
         if not _is_number(cells[0]):
-            (names, stated), rest = _columns(path, cells), lines
+            names, stated = _columns(path, cells)
         elif len(cells) in UNNAMED:
-            names, stated, rest = [*UNNAMED[len(cells)]], '', itertools.chain([first], lines)
+            names, stated, rest = [*UNNAMED[len(cells)]], '', itertools.chain([first], rest)
         else:
             raise RecordingError(
                 f'{path} has {len(cells)} columns and no headings: {first.strip()!r}',
@@ -264,7 +270,7 @@ def _read_csv(path: Path) -> Iterator[Block]:
         start, size = 1, 1 if 'file' in names else ROWS
         while part := list(itertools.islice(rest, size)):
             split = csv.reader(part, skipinitialspace=True) if separator else map(str.split, part)
-            table = _table(path, list(split), names, start)
+            table = _table(path, split, names, start)
             start += len(table)
             rows = {
                 name: _numbers(column)
@@ -278,8 +284,14 @@ def _read_csv(path: Path) -> Iterator[Block]:
             yield Block(rows, ', '.join(cells), stated)
 
 
-def _table(path: Path, rows: list[list[str]], names: list[str], start: int) -> NDArray[np.str_]:
+def _table(
+    path: Path, split: Iterable[list[str]], names: list[str], start: int
+) -> NDArray[np.str_]:
     """Return the cells of rows as an array, [n, columns]; `start` is the number of the first."""
+    try:
+        rows = list(split)
+    except csv.Error as error:
+        raise RecordingError(f'{path} is no table: {error}', remedy='export it again') from error
     for number, row in enumerate(rows, start):
         if len(row) != len(names):
             raise RecordingError(
@@ -324,7 +336,7 @@ def _picture(path: Path, name: str) -> NDArray[np.uint16]:
 def _read_npz(path: Path) -> Iterator[Block]:
     try:
         with path.open('rb') as file, np.lib.npyio.NpzFile(file) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            arrays = {name: np.asarray(archive[name]) for name in archive.files}
     # Archives that are encrypted or packed in another way: RuntimeError.
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
         raise RecordingError(f'{path} is no NPZ file of arrays: {reason(error)}') from error
@@ -365,12 +377,19 @@ def _blocks(path: Path, source: Any, units: str = '') -> Iterator[Block]:  # noq
     stated = dict(re.findall(r'(\w+) (\[[^\]]*)', units))
     names, unit = _columns(path, (f'{key} {stated.get(key, "")}' for key in source))
     columns = dict(zip(names, source.values(), strict=True))
-    count = next((len(columns[key]) for key in TIMES if np.ndim(columns.get(key, 0))), 0)
-    used = {key: each for key, each in columns.items() if np.ndim(each) and len(each) == count}
+    shapes: dict[str, tuple[int, ...]] = {
+        key: getattr(each, 'shape', ()) for key, each in columns.items()
+    }
+    count = next((shapes[key][0] for key in TIMES if shapes.get(key)), 0)
+    used = [key for key, shape in shapes.items() if shape[:1] == (count,)]
+    headings = ', '.join(
+        f'{key} {shape}' for key, shape in zip(source, shapes.values(), strict=True)
+    )
     size = FRAME_ROWS if 'image' in used else ROWS
     for start in range(0, max(count, 1), size):
-        rows = {key: np.asarray(each[start : start + size]) for key, each in used.items()}
-        yield Block(rows if count else {}, ', '.join(source), unit)
+        yield Block(
+            {key: np.asarray(columns[key][start : start + size]) for key in used}, headings, unit
+        )
 
 
 def _order(path: Path, rows: NDArray[Any]) -> tuple[str, ...]:
@@ -395,7 +414,7 @@ def _groups(path: Path, group: str) -> dict[str, str]:
         groups = {key: key for key, each in file.items() if hasattr(each, 'items')}
         if not group and 'events' in groups:
             return groups
-        found: list[str] = []
+        found = ['/'] if _holds_events(file) else []
         file.visititems(lambda name, each: found.append(name) if _holds_events(each) else None)
         if group not in file if group else len(found) != 1:
             raise RecordingError(

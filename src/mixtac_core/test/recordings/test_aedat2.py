@@ -53,7 +53,7 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     path = write(tmp_path / 'x.aedat', events, 'DAVIS240C')
     expected = Events(events.t, events.x - 106, events.y, events.polarity)[small]
     assert_equal(read(path).events, expected)
-    assert summarise(path).events['events'].outside == len(events) - len(expected)
+    assert summarise(path).events['events'].lost.events_outside == len(events) - len(expected)
 
 
 def test_the_size_of_an_unknown_chip_is_given(tmp_path):

@@ -84,7 +84,7 @@ def test_what_dv_processing_wrote_comes_out(tmp_path, compression):
 
 
 def test_events_that_go_back_cannot_be_written(tmp_path):
-    info = RecordingInfo(tmp_path, 'test', '', 346, 260, 0, START_US, 90_000, ())
+    info = RecordingInfo(tmp_path, 'test', 346, 260)
     events = {name: getattr(EVENTS, name)[::-1] for name in ('t', 'x', 'y', 'polarity')}
     with pytest.raises(RecordingError) as error:
         write_aedat4(tmp_path, info, iter([('events', events)]))
@@ -106,7 +106,7 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     found = read(path)
     assert_equal(found.events, inside)
     assert found.counters.events_outside == len(EVENTS) - len(inside)
-    assert summarise(path).events['events'].outside == len(EVENTS) - len(inside)
+    assert summarise(path).events['events'].lost.events_outside == len(EVENTS) - len(inside)
 
 
 def test_a_suffix_in_capitals_is_refused_with_the_name_to_give(file, tmp_path):

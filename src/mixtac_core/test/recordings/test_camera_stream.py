@@ -19,6 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 from mixtac_core.events.codec import encode
 from mixtac_core.events.packets import EncodedPacket
 from mixtac_core.recordings.recording import RecordingError
+from mixtac_core.recordings.summary import summarise
 
 
 @pytest.mark.parametrize('encoding', ['libcaer_cmp', 'libcaer'])
@@ -232,6 +233,8 @@ def test_images_without_a_stamp_are_left_out(tmp_path, stamp_us):
     assert found.frame_times == ([stamp_us] if stamp_us else [])
     assert found.counters.frames_without_time == (2 if stamp_us else 0)
     assert ('/mixtac/image_raw' in found.info.damage) == (not stamp_us)
+    (warning,) = summarise(tmp_path / 'bag').warnings
+    assert f'/mixtac/image_raw: {2 if stamp_us else 3}' in warning
 
 
 def test_what_is_no_recording_is_refused_by_its_format(tmp_path):

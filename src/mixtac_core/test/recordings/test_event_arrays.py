@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mixtac_core.events.codec import encode
 from mixtac_core.node.files import share
 from mixtac_core.recordings.bag_writer import repair
-from mixtac_core.recordings.event_arrays import EVENT_ARRAYS
+from mixtac_core.recordings.camera_stream import EVENT_ARRAYS
 from mixtac_core.recordings.importing import import_recording
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_core.recordings.summary import summarise
@@ -66,7 +66,7 @@ def test_events_and_images_come_out_as_they_went_in(tmp_path, kind):
     assert [frame.middle_us for frame in found.frames] == [START_US, START_US + 10_000]
     assert int(found.frames[1].image.max()) == 4
     summary = summarise(path).events['/dvs/events']
-    assert (summary.events, summary.lost_packets) == (600, 0)
+    assert (summary.events, summary.lost.packets_missing) == (600, 0)
     counts = import_recording(path, tmp_path / 'bag')
     assert (counts.events, counts.frames, counts.warnings()) == (600, 2, [])
     assert_equal(read(tmp_path / 'bag').events, EVENTS)
@@ -80,7 +80,7 @@ def test_events_that_step_back_in_a_message_are_sorted_and_counted(tmp_path):
     backwards = sum(
         np.count_nonzero(np.diff(EVENTS.t[order][n : n + 200]) < 0) for n in (0, 200, 400)
     )
-    assert summarise(path).events['/dvs/events'].backward_steps == backwards
+    assert summarise(path).events['/dvs/events'].lost.events_unsorted == backwards
     assert len(import_recording(path, tmp_path / 'bag').warnings()) == 1
 
 
@@ -88,7 +88,7 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     path = write_ros1(tmp_path / 'x.bag', EVENT_ARRAYS[0], size=(100, 100))
     inside = EVENTS[(EVENTS.x < 100) & (EVENTS.y < 100)]
     assert_equal(read(path).events, inside)
-    assert summarise(path).events['/dvs/events'].outside == 600 - len(inside)
+    assert summarise(path).events['/dvs/events'].lost.events_outside == 600 - len(inside)
 
 
 def test_event_packets_of_ros_1_are_read(tmp_path):

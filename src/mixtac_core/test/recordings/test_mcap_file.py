@@ -194,10 +194,9 @@ def test_compressed_bags_are_read(tmp_path, plugin, mode):
     with writer:
         sent = fill(writer, 3)
     assert contents(tmp_path / 'bag') == (sent, '')
-    if mode is CompressionMode.FILE:
-        (tmp_path / 'bag' / 'metadata.yaml').unlink()
-        (path,) = (tmp_path / 'bag').iterdir()
-        assert contents(tmp_path / 'bag') == contents(path) == (sent, '')
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    (path,) = (tmp_path / 'bag').iterdir()
+    assert contents(tmp_path / 'bag') == contents(path) == (sent, '')
 
 
 def test_the_files_of_a_split_bag_are_read_in_order_of_time(mcap, tmp_path):

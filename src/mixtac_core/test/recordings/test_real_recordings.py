@@ -96,7 +96,7 @@ def test_a_bag_of_another_camera_in_evt3():
     ]
     assert sums == [1_222_326_831_810, 42_078_718, 31_656_267, 41_439]
     (events,) = summarise(data('evt3_bag')).events.values()
-    assert (events.events, events.lost_packets, events.backward_steps) == (82_469, 0, 0)
+    assert (events.events, events.lost.packets_missing, events.backward_steps) == (82_469, 0, 0)
 
 
 def test_a_rollover_of_the_camera_clock():

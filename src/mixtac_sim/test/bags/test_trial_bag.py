@@ -142,7 +142,7 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
 def test_the_bag_is_whole_and_says_that_it_is_simulated(folder, bag):
     summary = summarise(folder / SPEC.name)
     figures = summary.events['/mixtac/events']
-    assert (figures.lost_packets, figures.backward_steps) == (0, 0)
+    assert (figures.lost.packets_missing, figures.backward_steps) == (0, 0)
     assert summary.counts['/mixtac/camera_clock'] == 3
     assert abs(summary.counts['/ft_sensor/wrench'] - 2.8 * 800) < 10
     assert abs(summary.counts[TRUTH + 'wrench'] - 2800) < 5
