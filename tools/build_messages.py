@@ -199,6 +199,8 @@ class Package:
     def install(self, library: Path) -> None:
         """Put library, module and descriptions where ament and Python look for them."""
         target = PREFIX / 'lib' / library.name
+        # Running nodes keep the file that they have mapped; overwritten, it would crash them.
+        target.unlink(missing_ok=True)
         shutil.copyfile(library, target)
         for each in TYPE_SUPPORTS:
             _link(PREFIX / 'lib' / f'lib{self.name}__{each}.so', target)

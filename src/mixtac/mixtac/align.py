@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mixtac.figures import make_table
-from mixtac.options import JsonFile, OptionalPath, ReferenceTopic
+from mixtac.options import JsonFile, Namespace, OptionalPath, ReferenceTopic
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node import topics
 from mixtac_core.node.files import write_json
@@ -26,9 +26,7 @@ from mixtac_fger.alignment.clock_fit import ClockFit
 def align(
     bags: Annotated[list[Path], typer.Argument(help='Bags, or folders of bags (data sets).')],
     reference: ReferenceTopic = topics.REFERENCE,
-    namespace: Annotated[
-        str, typer.Option(help="Namespace of the camera's topics.")
-    ] = topics.DEFAULT_NAMESPACE,
+    namespace: Namespace = topics.DEFAULT_NAMESPACE,
     method: Annotated[
         Method,
         typer.Option(
@@ -43,7 +41,8 @@ def align(
     """Fit the clock of the reference force to the camera's; write the fit beside each bag."""
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:
-        raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
+        remedy = 'give a bag or a folder of bags'
+        raise MixtacError(f'no bag in {", ".join(map(str, bags))}', remedy=remedy)
     console, shown = Console(markup=False), distinct_names(found)
     results, rows = [], []
     for bag in track(found, 'aligning', console=console, disable=len(found) == 1):

@@ -78,7 +78,7 @@ def calibrate_force(
     sideways_loads: Annotated[
         str,
         typer.Option(
-            help='Loads (g) on a thread, such as 20, that pull the largest other load sideways, '
+            help='Loads (g) on a string, such as 20, that pull the largest other load sideways, '
             'for the sideways force. In a recording, they are in the last contact.'
         ),
     ] = '',
@@ -230,7 +230,7 @@ def check_model(
         )
     if not check and (out is None or out.suffix != SUFFIX):
         raise ModelError(
-            f'{out or "no file"} is not a weight file to write',
+            f'{out} is not a weight file to write' if out else '--out is missing',
             remedy=f'give --out a name that ends in {SUFFIX}',
         )
 

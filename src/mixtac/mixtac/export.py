@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mixtac.figures import make_table
-from mixtac.options import OptionalPath, Split
+from mixtac.options import OptionalPath, Profile, Split
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag_writer import repair as repair_bag
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
@@ -78,7 +78,7 @@ def import_(
     time_unit: TimeUnit = '',
     force_unit: Annotated[str, typer.Option(help=_FORCE_UNIT)] = '',
     size: Size = '',
-    profile: Annotated[str, typer.Option(help='Kind of motion in dataset.yaml, as static.')] = '',
+    profile: Profile = '',
     split: Split = '',
     events: EventsOf = '',
     image: ImageOf = '',

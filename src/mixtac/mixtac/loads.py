@@ -235,7 +235,7 @@ class LiveProcedure:
             for load in pulls:
                 self._ask(f'Pull it aside with {load.grams:g} g', 'pull', **pull, pull=load.force_n)
                 under = self._under(load, rest, PULL)
-                self._ask('Take only the mass off its thread', 'pull', **pull, pull=0.0)
+                self._ask('Take only the mass off its string', 'pull', **pull, pull=0.0)
                 session.pulls.append(self._full(under, PULL))
                 rest = session.pulls[-1].rests[-1]
             self._ask('Take everything off', 'release')

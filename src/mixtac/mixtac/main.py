@@ -113,7 +113,9 @@ def make_command(name: str, target: str | Mapping[str, Any]) -> Any:  # noqa: AN
     """
     helped: dict[str, Any] = {'help_option_names': ['-h', '--help']}
     panel = SHOWN_IN.get(name)
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=helped)
+    app = typer.Typer(
+        add_completion=name == 'mixtac', pretty_exceptions_enable=False, context_settings=helped
+    )
     found = load(target) if isinstance(target, str) else target
     command: Any
     if callable(found):

@@ -56,19 +56,17 @@ ParamsFile = Annotated[
     OptionalPath,
     typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),
 ]
-Split = Annotated[
-    Literal['', 'train', 'test'], typer.Option(help='Split in dataset.yaml: train, test.')
-]
+Profile = Annotated[str, typer.Option(help='Kind of motion in dataset.yaml, as static.')]
+Split = Annotated[Literal['', 'train', 'test'], typer.Option(help='Split in dataset.yaml.')]
 RunTime = Annotated[
     float, typer.Option('--seconds', min=0, help='Run time (s); 0 runs until Ctrl-C.')
 ]
 Preset = Annotated[
-    str,
-    typer.Option(
-        '--preset', help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.'
-    ),
+    Literal['easy', 'paper_like', 'hard', 'varied'],
+    typer.Option('--preset', help='Difficulty of the simulated sensor.'),
 ]
 ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
+_REFERENCE = 'Topic of the reference force (WrenchStamped).'
 ReferenceTopic = Annotated[
-    str, typer.Option('--reference-topic', help='Topic of the reference force (WrenchStamped).')
+    str, typer.Option('--reference-topic', help=_REFERENCE, callback=check_topic)
 ]

@@ -24,7 +24,7 @@ from rosbags.interfaces import Connection
 
 from mixtac.figures import make_table
 from mixtac.monitor_node import CommandNode
-from mixtac.options import Namespace, Split, check_topic
+from mixtac.options import Namespace, Profile, ReferenceTopic, Split
 from mixtac_core.events.packets import CodecError, SequenceCounter, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE, Topic
@@ -231,13 +231,8 @@ def record(
         float, typer.Option(min=0, help='Length of the recording (s); 0 records until Ctrl-C.')
     ] = 0,
     namespace: Namespace = DEFAULT_NAMESPACE,
-    reference_topic: Annotated[
-        str,
-        typer.Option(help='Topic of the reference force (WrenchStamped).', callback=check_topic),
-    ] = REFERENCE,
-    profile: Annotated[
-        str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
-    ] = '',
+    reference: ReferenceTopic = REFERENCE,
+    profile: Profile = '',
     split: Split = '',
     wait: Annotated[
         float, typer.Option(min=0, help='Longest time to wait for the first event packet (s).')
@@ -248,7 +243,7 @@ def record(
     read_recordings(out.absolute().parent / FILE_NAME)
     console = Console(markup=False)
     with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
-        listener.listen(reference_topic)
+        listener.listen(reference)
         _wait_for_packet(console, listener, wait, stopping)
         if stopping():
             return

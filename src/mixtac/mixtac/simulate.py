@@ -14,7 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mixtac.options import Preset
 from mixtac_sim.bags.trial_bag import generate
-from mixtac_sim.world.effects import preset as find_preset
 from mixtac_sim.world.plans import DATASETS, describe, plan_dataset, plan_profile
 
 
@@ -43,7 +42,6 @@ def simulate(
     """Write simulated trials to rosbag2 bags with the live topics and the truth."""
     if bool(profile) == bool(dataset):
         raise typer.BadParameter('give one of --profile and --dataset')
-    find_preset(preset)
     if dataset:
         planned, split_by = plan_dataset(dataset, seed, preset), DATASETS[dataset].split_by
     else:

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.live import Live
 
 from mixtac.figures import make_table
-from mixtac.options import Namespace, OptionalPath, ParamsFile, RunTime
+from mixtac.options import Namespace, OptionalPath, ParamsFile, Preset, RunTime
 from mixtac_core.node.graph import (
     NodeSpec,
     is_virtual,
@@ -286,10 +286,7 @@ def slip(
     every: Annotated[
         float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
     ] = 8.0,
-    preset: Annotated[
-        Literal['easy', 'paper_like', 'hard', 'varied'],
-        typer.Option(help='Difficulty of the simulated sensor.'),
-    ] = 'paper_like',
+    preset: Preset = 'paper_like',
     seed: Annotated[
         int,
         typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),

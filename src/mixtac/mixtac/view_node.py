@@ -59,6 +59,8 @@ COLOURS: Final = {
 }  # fmt: skip
 """Colour of each level: darker orange, brighter blue, which colour-blind people can distinguish."""
 CONTACT_COLOUR: Final = (240, 228, 66)
+FLOOR_N: Final = 0.1
+"""Force that the plot always includes [N]: noise alone does not fill it."""
 TEXT_PERIOD_S: Final = 0.5
 """Time between two texts of the state [s]."""
 _OUTLINE: Final = np.linspace(0.0, 2.0 * np.pi, 33)
@@ -243,7 +245,9 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             self._server.processes.check()
 
     def close(self) -> None:
-        """Send remaining data, then end the server."""
+        """Send remaining data and that the view has ended, then end the server."""
+        end = self._rr.TextDocument('# The view has ended', media_type='text/markdown')
+        self._stream.log('state', end)
         self._stream.flush(timeout_sec=2.0)
         self._stream.disconnect()
         if self._server is not None:
@@ -272,6 +276,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         for name, colour in LINES.items():
             line = rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])
             self._stream.log(f'force/{name}', line, static=True)
+        floor = rr.SeriesLines(colors=[COLOURS[STILL]] * 2, names=['', ''], widths=[0.5, 0.5])
+        self._stream.log('force/floor', floor, static=True)
 
     def _on_events(self, message: Any) -> None:  # noqa: ANN401
         self._counter.update(message.seq)
@@ -326,6 +332,7 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         if (contact := self._contact) is not None:
             strips = [contact_outline(contact)] if contact.located else []
             log('frame/contact', rr.LineStrips2D(strips, colors=[CONTACT_COLOUR], radii=[1.0]))
+        log('force/floor', rr.Scalars([-FLOOR_N, FLOOR_N]))
         for name, samples in self._force.items():
             if samples:
                 times, values = zip(*samples, strict=True)
@@ -351,7 +358,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             **dict(sorted(self._nodes.items())),
         }
         table = '\n'.join(f'| {name} | {text} |' for name, text in rows.items())
-        return f'| | |\n|---|---|\n{table}'
+        # Less 0.004 N is not shown as -0.00.
+        return f'# {round(self._latest_n["estimate"], 2) + 0.0:.2f} N\n\n| | |\n|---|---|\n{table}'
 
     def _status(self) -> Status:
         bad = self._undecodable
