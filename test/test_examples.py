@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Every example runs to its end."""
+"""Every example runs to its end; that of the calibration beside the tests of its command."""
 
 from __future__ import annotations
 
@@ -43,7 +43,6 @@ def bags(tmp_path_factory) -> Path:
         ('record_and_read', ('BAG',), '125 frames'),
         ('align_reference', ('BAG',), 'drift'),
         ('contact_and_shear', ('BAG',), 'mm'),
-        pytest.param('calibrate_with_weights', (), 'calibrated', marks=pytest.mark.slow),
         ('train_on_own_bags', ('BAGS',), 'wrote mine.safetensors'),
     ],
 )

@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,38 +30,20 @@ from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.force_calibration import GRAVITY, PULL, ForceCalibrationError, fit_gain
 from mixtac_fger.weights import find_model, read_model
 from mixtac_sim.bags.trial_bag import write_trial
-from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.usb.endpoints import serial_number
-from mixtac_sim.world import profiles
-from mixtac_sim.world.segments import Segment
 
 DEVICE = 500_001
-GRAMS = (50.0, 100.0)
-
-
-def weights(_rng, start_s, _span_s):
-    """Put 50 g and 100 g on, one after the other."""
-    segments, begin = [], start_s + 1.6
-    for grams in GRAMS:
-        force, down = 1e-3 * GRAVITY * grams, begin + 0.4
-        up = down + 2.4
-        segments += [
-            Segment(begin, down, Mode.FORCE, (0.0, 0.4), (0.0, force)),
-            Segment(down, up, Mode.FORCE, (0.0,), (force,)),
-            Segment(up, up + 0.3, Mode.FORCE, (0.0, 0.3), (force, 0.0)),
-        ]
-        begin = up + 0.3 + 2.2
-    return segments
+GRAMS = [20.0, 50.0, 100.0]
 
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
-    """Return a simulated recording of the procedure, with a reference sensor.
+    """Return a simulated recording of three weights, with a reference sensor.
 
     What a model makes of it is computed once.
     """
     folder, known = tmp_path_factory.mktemp('bags'), {}
-    spec = TrialSpec('weights', 'weights', 14.5, DEVICE, 7, 'easy', 'train')
+    spec = TrialSpec('weights', 'weights', 17.0, DEVICE, 7, 'easy', 'train')
 
     def once(recording, model):
         key = float(model.tensors['frame.head.weight'].sum())
@@ -69,7 +52,6 @@ def bag(tmp_path_factory):
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(profiles.PROFILES, 'weights', weights)
         write_trial(spec, folder)
         patch.setattr(known_loads, 'estimated', once)
         yield folder / spec.name
@@ -149,7 +131,7 @@ def done(bag, tmp_path_factory):
     """Calibrate by the recording; return the folder of the results."""
     folder = tmp_path_factory.mktemp('calibrated')
     result = calibrate(
-        *('--bag', bag, '--loads', '50,100', '--gel', 'soft', '--out', folder / 'm.safetensors'),
+        *('--bag', bag, '--loads', '20,50,100', '--gel', 'soft', '--out', folder / 'm.safetensors'),
         *('--json', folder / 'f.json'),
     )
     assert result.exit_code == 0, result.output
@@ -161,9 +143,15 @@ def test_a_recording_gives_gain_and_weight_file(done):
     assert found['gain'] == pytest.approx(1.0, abs=0.6)
     assert 0.0 < found['gain_sd'] < 0.06 * found['gain']
     assert max(abs(each['residual_n']) for each in found['loads']) < 0.04
-    assert [each['load_g'] for each in found['loads']] == list(GRAMS)
+    assert [each['load_g'] for each in found['loads']] == GRAMS
     assert found['known_by'] == 'weights'
     assert (done / 'm.md').is_file()
+
+
+def test_the_example_calibrates_by_the_same_weights(bag, tmp_path):
+    example = Path(__file__).parents[3] / 'examples' / 'calibrate_with_weights.py'
+    subprocess.run([sys.executable, example, bag], check=True, cwd=tmp_path)
+    assert read_model(tmp_path / 'my_sensor.safetensors').card.training[SERIAL_KEY]
 
 
 def test_the_weight_file_says_how_it_was_calibrated(done):
@@ -179,7 +167,7 @@ def test_the_weight_file_says_how_it_was_calibrated(done):
 
 
 def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
-    words = ('--bag', bag, '--loads', '50,100', '--model', done / 'm.safetensors')
+    words = ('--bag', bag, '--loads', '20,50,100', '--model', done / 'm.safetensors')
     result = calibrate(*words, '--out', tmp_path / 'again.safetensors')
     assert result.exit_code == 0, result.output
     once, twice = (
@@ -191,10 +179,10 @@ def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
 
 def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):
     words = ('--bag', bag, '--check', '--model', done / 'm.safetensors')
-    result = calibrate(*words, '--loads', '50,100', '--json', tmp_path / 'c.json')
+    result = calibrate(*words, '--loads', '20,50,100', '--json', tmp_path / 'c.json')
     assert result.exit_code == 0, result.output
     assert json.loads((tmp_path / 'c.json').read_text())['passed']
-    result = calibrate(*words, '--loads', '75,150', '--json', tmp_path / 'c.json')
+    result = calibrate(*words, '--loads', '30,75,150', '--json', tmp_path / 'c.json')
     assert isinstance(result.exception, ForceCalibrationError)
     assert result.exception.reason == 'loads'
 
@@ -211,7 +199,8 @@ def test_a_reference_sensor_in_the_recording_is_used(done, bag, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('loads', 'reason'), [('100,50', 'loads'), ('0.05,0.1', 'loads'), ('50,100,150', 'contact')]
+    ('loads', 'reason'),
+    [('100,50,20', 'loads'), ('.02,.05,.1', 'loads'), ('20,50,100,150', 'contact')],
 )
 def test_a_refusal_leaves_nothing_behind(bag, tmp_path, loads, reason):
     words = ('--out', tmp_path / 'm.safetensors', '--json', tmp_path / 'f.json')
@@ -274,7 +263,7 @@ class Operated:
 
     def __init__(self):
         self.load = (0.0, 0.0, 0.0)
-        self.rows = [(0, 0.0, 0.0, 0.0)]
+        self.rows = np.zeros((1, 4))
         self.serial, self.random = 'virtual', np.random.default_rng(1)
         self.processes = SimpleNamespace(check=lambda: None)
         self.estimate = SimpleNamespace(samples=self.estimates)
@@ -288,15 +277,13 @@ class Operated:
         """Nothing changes at a tare."""
 
     def table(self):
-        rows = np.array(self.rows)
-        stamps = rows[:, 0].astype(np.int64)
-        noise = self.random.normal(0, 1e-3, (len(rows), 3))
-        return np.array([stamps + 5_000_000, stamps]), rows[:, 1:] + noise
+        stamps = self.rows[:, 0].astype(np.int64)
+        return np.array([stamps + 5_000_000, stamps]), self.rows[:, 1:]
 
     def estimates(self):
-        for _ in range(50):
-            loads = np.array(self.load) * (0.8, 0.5, 0.5)
-            self.rows.append((len(self.rows) * 2_000_000, *loads))
+        stamps = 2e6 * (len(self.rows) + np.arange(50))
+        forces = np.array(self.load) * (0.8, 0.5, 0.5) + self.random.normal(0, 1e-3, (50, 3))
+        self.rows = np.vstack([self.rows, np.column_stack([stamps, forces])])
         return self.table()
 
     def references(self):

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,9 +40,7 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     """Return a monitor of the sensor graph, running and active."""
     processes = module_node_under_test
     with Monitor('mixtac', processes, 120) as monitor:
-        # A slow host is no matter of this test: by default, time that it cannot simulate is a gap.
-        given = {'scenario': 'idle'}
-        nodes = sensor_graph('virtual', virtual_sensor=given)
+        nodes = sensor_graph('virtual', virtual_sensor={'scenario': 'idle'})
         processes.start_nodes(nodes, 'mixtac')
         monitor.bring_up_all(nodes)
         monitor.listen()
@@ -72,16 +69,17 @@ def test_each_topic_has_its_type_and_qos(graph: Monitor, module_node_under_test,
 
 def test_forces_are_two_milliseconds_apart_and_near_zero_without_contact(graph: Monitor):
     (_, stamps), force = graph.estimate.samples()
-    assert set((stamps[1:] - stamps[:-1]).tolist()) == {2_000_000}
+    # Time that a slow host cannot simulate is a gap.
+    steps, counts = np.unique(np.diff(stamps), return_counts=True)
+    assert steps[counts.argmax()] == 2_000_000
+    assert not (steps % 2_000_000).any()
+    assert steps[0] > 0
     assert np.isfinite(force[:, 0]).all()
     assert abs(float(force[-250:, 0].mean())) < 0.1
 
 
-def test_every_node_reports_and_says_that_it_is_simulated(graph: Monitor):
-    deadline = time.monotonic() + 10
+def test_every_node_reports_and_says_that_it_is_simulated(graph: Monitor, module_node_under_test):
     names = {'mixtac/driver', 'mixtac/virtual_sensor', 'mixtac/fger'}
-    while not names <= set(graph.diagnostics) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert names <= set(graph.diagnostics)
+    module_node_under_test.spin_until(lambda: names <= set(graph.diagnostics))
     for name in ('mixtac/driver', 'mixtac/virtual_sensor'):
         assert graph.diagnostics[name]['simulated'] == 'True'

@@ -207,7 +207,7 @@ def test_parameters_change_while_it_plays(bag):
     # Nothing comes while it is paused.
     assert got == []
     source.apply(DriverParameters(playback_rate=0.0, playback_loop=True))
-    thread.join(20)
+    thread.join(60)
     assert len(got) == 200
     assert source.status().figures['playback loops'] >= 1
 
@@ -225,7 +225,7 @@ def test_it_stops_at_once_in_the_middle_of_a_wait(tmp_path, paused):
     while not paused and source.status().origin is None:
         time.sleep(0.01)
     source.request_stop()
-    thread.join(10)
+    thread.join(60)
     assert not thread.is_alive()
     source.close()
 

@@ -98,10 +98,10 @@ class Watch:
 
     def wait_for_stream(self, number=1):
         for _ in range(number):
-            assert self.streaming.acquire(timeout=5)
+            assert self.streaming.acquire(timeout=60)
 
     def wait_for_end(self):
-        assert self.supervisor.finished.wait(5)
+        assert self.supervisor.finished.wait(60)
         assert self.supervisor.stop()
         return self.supervisor
 

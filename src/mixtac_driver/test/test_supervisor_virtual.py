@@ -38,7 +38,7 @@ class Rig:
         self.scene = Scene()
         self.device = self.scene.device
         self.times, self.errors, self.starts = [], [], []
-        p = DriverParameters(stream_timeout=0.8)
+        p = DriverParameters(stream_timeout=1.5)
         self.camera = Davis346(p, backend=in_process_backend(self.device))
         self.supervisor = Supervisor(
             self.camera,
@@ -49,7 +49,7 @@ class Rig:
         self.supervisor.start()
         self.wait_for_stream()
 
-    def wait_until(self, condition, seconds=15.0):
+    def wait_until(self, condition, seconds=60.0):
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, (self.supervisor.state, self.errors)
@@ -85,7 +85,7 @@ def rig():
         (Fault(FaultKind.STALL_DATA, seconds=0.1), 'StallError'),
         (Fault(FaultKind.STALL_DATA, count=15), 'StallError'),
         (Fault(FaultKind.FREEZE), 'StreamError'),
-        (Fault(FaultKind.FREEZE, seconds=1.2), 'StreamError'),
+        (Fault(FaultKind.FREEZE, seconds=2.0), 'StreamError'),
         (Fault(FaultKind.BABBLE, count=1), 'BusError'),
         (Fault(FaultKind.READ_ERROR, count=3), 'BusError'),
     ],

@@ -139,7 +139,7 @@ class Cell:
             self.back_s = float(10.0 ** self.rng.uniform(-2.0, 0.0))
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 2**31),
     fault=st.sampled_from(FAULTS),

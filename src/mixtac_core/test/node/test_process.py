@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 WAIT = [sys.executable, '-c', 'import time; time.sleep(60)']
 
 
-def wait_until(condition, seconds: float = 10.0) -> None:
+def wait_until(condition, seconds: float = 60.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.02)

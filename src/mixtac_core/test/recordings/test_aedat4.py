@@ -128,11 +128,10 @@ def test_a_file_without_a_whole_packet_gives_one_line_with_its_name(file, tmp_pa
     assert '\n' not in str(error.value)
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_damage_anywhere_ends_in_one_line_or_is_harmless(file, tmp_path, monkeypatch, seed):
-    # From some damage dv-processing never returns.
-    monkeypatch.setattr('mixtac_core.recordings.aedat.PATIENCE_S', 10.0)
-    data, rng = bytearray(file.read_bytes()), np.random.default_rng(seed)
+def test_damage_ends_in_one_line_or_is_harmless(file, tmp_path, monkeypatch):
+    # From this damage dv-processing never returns.
+    monkeypatch.setattr('mixtac_core.recordings.aedat.PATIENCE_S', 2.0)
+    data, rng = bytearray(file.read_bytes()), np.random.default_rng(0)
     at = int(rng.integers(3000, len(data) // 2))
     data[at : at + 7] = rng.bytes(7)
     path = tmp_path / 'x.aedat4'

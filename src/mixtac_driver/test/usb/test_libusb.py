@@ -154,11 +154,11 @@ def test_stop_from_another_thread_ends_a_waiting_get(make_rig):
     rig = make_rig()
     rig.reader.start()
     result = []
-    consumer = threading.Thread(target=lambda: result.append(rig.reader.get(20.0)))
+    consumer = threading.Thread(target=lambda: result.append(rig.reader.get(60.0)))
     consumer.start()
     time.sleep(0.05)
     rig.reader.stop()
-    consumer.join(5.0)
+    consumer.join(60.0)
     assert result == [None]
     assert rig.reader.get(1.0) is None
 
