@@ -47,7 +47,7 @@ from mixtac_core.recordings.tables import (
 PIECES: Final = 500
 """Pieces that are written at once."""
 HDF5_ROWS: Final = 1 << 14
-"""Rows of a chunk: those of a chunk fit into the library's cache."""
+"""Rows of a chunk, which fits into the library's cache."""
 LEAST_HZ: Final = 10.0
 """Fewer events per second than the noise of any event camera [1/s]."""
 MOST_HZ: Final = 1e8

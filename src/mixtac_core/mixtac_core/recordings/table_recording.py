@@ -70,7 +70,7 @@ class FileRecording:
         end_us: Time of the last reading [us], 0 if unknown.
         size_known: False where the file does not state the size.
         counters: Losses that the streams count.
-        forces: What reads the reference force; None if there is none.
+        forces: Reader of the reference force, if the recording has one.
 
     Attributes:
         info: Its description.

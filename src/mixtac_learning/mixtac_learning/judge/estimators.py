@@ -50,9 +50,9 @@ class TrialEstimate:
         device: Identifier of its sensor.
         t_us: End of each window [us], int64 [T].
         force: Estimate [N], float64 [T].
-        known: Force that counts: the true one where it is known, else the reference's [N] [T].
-        reference: Reference's force, None where there is none or it is `known` [N] [T].
-        frames_only: The model's force of the latest frame, None where it has none [N] [T].
+        known: Force to compare with: the true one, else the reference's [N] [T].
+        reference: Reference's force, None if it is absent or equals `known` [N] [T].
+        frames_only: The model's force of the latest frame, None if it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
         across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an
@@ -215,7 +215,7 @@ def live_estimate(model: Model, trial: TrialArrays) -> TrialEstimate:
     """Return the live estimates of a trial, from its first force on.
 
     Raises:
-        DatasetError: There are none: too few still frames at the beginning.
+        DatasetError: No estimates: too few still frames at the beginning.
     """
     found = stream(model, trial)
     if not len(found.t_us):

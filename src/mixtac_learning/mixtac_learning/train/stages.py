@@ -333,7 +333,7 @@ def head_of(network: FgerNetwork) -> DeviationHead:
     """Return the uncertainty head.
 
     Raises:
-        ModelError: There is none.
+        ModelError: The network has no such head.
     """
     if network.deviation is None:
         raise ModelError('this network has no uncertainty head: set deviation_size above 0')
@@ -375,7 +375,7 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
 
 @torch.no_grad()
 def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
-    """Return `ShearHead.told` after each window, as the live estimator has it, [T, B, 2, 3].
+    """Return `ShearHead.course` after each window, as the live estimator has it, [T, B, 2, 3].
 
     Args:
         network: With the head.
@@ -393,7 +393,7 @@ def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
             if frame >= 0:
                 head.correct(head.measure(features[frame]), lag, SPREAD_WINDOWS)
             head.step(events[window, trial])
-            out[window, trial] = head.told
+            out[window, trial] = head.course
     return torch.from_numpy(out)
 
 
