@@ -203,7 +203,7 @@ def folders_of(graph: Mapping[str, set[str]], package: str) -> dict[str, set[str
 
 
 def find_circle(graph: Mapping[str, set[str]]) -> str:
-    """Return the first circle of a graph in words, empty when there is none."""
+    """Return the first circle of a graph in words, or nothing."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

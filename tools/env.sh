@@ -21,7 +21,7 @@ if [ -f "$_mixtac_root/install/setup.bash" ] && [ "$_mixtac_venv" = "$_mixtac_ro
 fi
 # Nothing is reachable from other machines unless the user asks for it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
-# Fast DDS keeps more for a subscriber that is held up, and opens no port beyond this machine; a
+# Fast DDS keeps more for a subscriber that is delayed, and opens no port beyond this machine; a
 # profile of the user's own is left in place. Newer versions of Fast DDS read the second name.
 case ${FASTRTPS_DEFAULT_PROFILES_FILE:-${FASTDDS_DEFAULT_PROFILES_FILE:-}} in
     '' | "$_mixtac_root"/config/fastdds/*)

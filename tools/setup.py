@@ -95,7 +95,7 @@ def requirements(extras: list[str], *, robot: bool) -> list[str]:
     """Return what pyproject.toml asks for.
 
     Args:
-        extras: Optional parts besides the base.
+        extras: Optional parts in addition to the base.
         robot: Leave out what only the command line and the simulator need.
     """
     project = project_file()['project']

@@ -2,7 +2,7 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
 # All tests, or those that the arguments name: what runs in real time, one after the other, and
-# beside it the calculations, two at a time, in the time that the former leave. Calculations come in
+# beside it the calculations, two at a time, in the time that they leave. Calculations come in
 # the order of collection, which begins with the slow files, so that none is left over at the end.
 set -u
 cd "$(dirname "$0")/.."

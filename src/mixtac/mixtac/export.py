@@ -18,7 +18,7 @@ from mixtac.options import OptionalPath, Profile, Split
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag_writer import repair as repair_bag
 from mixtac_core.recordings.dataset import FILE_NAME, add_recording, read_recordings
-from mixtac_core.recordings.export import export_recording
+from mixtac_core.recordings.export import WRITERS, export_recording
 from mixtac_core.recordings.importing import import_recording
 from mixtac_core.recordings.recording import FORMATS, DamagedRecordingError, Selection
 from mixtac_core.recordings.summary import summarise
@@ -40,7 +40,7 @@ _SOURCE = '.csv, .txt, .npz, .h5, .aedat4, .aedat, .bag, a bag, or a folder of `
 
 def export(
     recording: Annotated[Path, typer.Argument(help='A bag, or any file that import reads.')],
-    to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
+    to: Annotated[str, typer.Option(help=f'{", ".join(WRITERS)}.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
     events: EventsOf = '',
     image: ImageOf = '',

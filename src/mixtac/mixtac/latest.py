@@ -121,7 +121,7 @@ class Latest(Generic[T]):
                     raise ReadTimeoutError(
                         f'no new {self._what} within {timeout_ms:g} ms{self._why()}'
                     )
-                # In short waits: nobody tells when the source ends or is closed.
+                # In short waits: the end of the source notifies nobody.
                 self._changed.wait(min(left_s, LOOK_S))
             self._check()
             self._taken = self._count

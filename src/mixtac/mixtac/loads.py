@@ -243,7 +243,7 @@ class LiveProcedure:
         return session
 
     def reference(self) -> tuple[F64, F64]:
-        """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
+        """Return times of the reference on the clock of the estimate [s], and its forces [N]."""
         (arrival_ns, stamps_ns), _ = self._monitor.estimate.samples()
         (times_ns, _), force_n = self._monitor.measured.samples()
         # What arrived together belongs together.

@@ -38,7 +38,7 @@ from mixtac_msgs.srv import Touch
 
 N = TypeVar('N', bound='CommandNode')
 DEPTH: Final = 1000
-"""Forces that may wait: those of two seconds in which the host has no time for the monitor."""
+"""Forces that may wait: two seconds in which the host has no time for the monitor."""
 MOST_HZ: Final = 1100
 """Highest rate of forces and of the reference that `Monitor` keeps [Hz]."""
 LOG_PATIENCE_S: Final = 3.0

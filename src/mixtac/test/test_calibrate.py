@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac calibrate`: from a bag of frames to a camera_info file, and what is said on the way."""
+"""`mixtac calibrate`: from a bag of frames to a camera_info file, and what it prints."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from mixtac_core.node.process import GraphError
 
 
 class Ended:
-    """Processes of which one has ended."""
+    """Processes, one ended."""
 
     def check(self):
         raise GraphError('fger has ended')

@@ -357,7 +357,7 @@ class Davis346:
             return
         due_us = self._due_us
         if isinstance(self._reader, BulkReader):
-            # Its only read has to wait at the camera when the data come; those of USB always do.
+            # Its only read must be waiting when data come; queued reads of libusb always are.
             due_us -= self.control.parameters.usb_early_packet_delay
         early_s = (self.clock.to_host_ns(due_us) - time.time_ns()) / 1e9
         if early_s > 0.0:

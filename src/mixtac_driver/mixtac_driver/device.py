@@ -117,7 +117,7 @@ def find_camera(
         preferred: Serial number to prefer where `serial` is empty and there are several cameras.
 
     Raises:
-        NoCameraError: There is none, none with that number, or several and no number was given.
+        NoCameraError: No camera, none with that number, or several and no number was given.
         UsbError: A camera may not be opened, and the wanted one is not among the others.
     """
     found = _all_cameras(backend, device)

@@ -150,7 +150,7 @@ def _damped(matrix: F64, damping: float) -> F64:
 
 @njit(cache=True, nogil=True)
 def is_sensible(p: F64) -> bool:
-    """Return whether parameters are those of a contact within reach."""
+    """Return whether parameters describe a contact within reach."""
     trace, determinant = p[5] + p[7], p[5] * p[7] - p[6] * p[6]
     if not determinant > 0.0 or not trace > 0.0:
         return False

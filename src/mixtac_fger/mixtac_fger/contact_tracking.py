@@ -115,8 +115,8 @@ class FlowCarrier:
     @property
     def threshold(self) -> float:
         """Size of a contrast threshold, by frames and events so far [log units]."""
-        told = (self._both + THRESHOLD * THRESHOLD_WEIGHT) / (self._own + THRESHOLD_WEIGHT)
-        return min(max(told, 0.1), 0.6)
+        fit = (self._both + THRESHOLD * THRESHOLD_WEIGHT) / (self._own + THRESHOLD_WEIGHT)
+        return min(max(fit, 0.1), 0.6)
 
     def window(self, end_us: int, flow: F32) -> None:
         """Add the flow of a window, float32 [rows, columns, 2] [px per threshold]."""
@@ -148,9 +148,9 @@ class FlowCarrier:
         before, self._frame = self._frame, (moved, start)
         if before is None:
             return
-        change, told = moved - before[0], start - before[1]
-        self._both = MEMORY * self._both + float(np.sum(change * told))
-        self._own = MEMORY * self._own + float(np.sum(told * told))
+        change, flow = moved - before[0], start - before[1]
+        self._both = MEMORY * self._both + float(np.sum(change * flow))
+        self._own = MEMORY * self._own + float(np.sum(flow * flow))
 
 
 def _pooled(values: F32, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -72,7 +72,7 @@ ONE_SIDED = 3.0
 EVEN_NOISE = 1.4
 """Largest variance of the counts of cells over their mean, where a lamp made them."""
 EVEN_SHARE = 0.2
-"""Standard deviation that the counts of cells may have besides, as a part of their mean."""
+"""Further standard deviation that the counts of cells may have, as a part of their mean."""
 
 
 @njit(cache=True, nogil=True)

@@ -256,7 +256,7 @@ def with_sideways_gain(model: Model, gain: float) -> Model:
         gain: Above 0.
 
     Raises:
-        ModelError: The gain is no such number, the model knows no sideways force, or as
+        ModelError: The gain is no such number, the model has no sideways force, or as
             `checked_config`.
     """
     if not _checked(model, gain).shear:

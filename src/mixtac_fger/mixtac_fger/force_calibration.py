@@ -402,7 +402,7 @@ def last_contact(t_s: F64, force_n: F64) -> tuple[int, slice]:
         force_n: Normal force [N]; in the last contact at least half of the largest.
 
     Raises:
-        ForceCalibrationError: There is none that ends.
+        ForceCalibrationError: No contact ends.
     """
     stretches = steady_stretches(t_s, force_n)
     zero = stretches[0].mean_n.real if stretches else 0.0

@@ -294,11 +294,11 @@ class EventGain:
         before, self._before = self._before, (force, increments)
         if before is None:
             return
-        change, told = force - before[0], increments - before[1]
-        if max(abs(change), abs(told)) >= self._largest:
+        change, added = force - before[0], increments - before[1]
+        if max(abs(change), abs(added)) >= self._largest:
             return
-        self._squares = self.KEPT * self._squares + told**2
-        self._products = self.KEPT * self._products + told * change
+        self._squares = self.KEPT * self._squares + added**2
+        self._products = self.KEPT * self._products + added * change
         gain = (self._products + self._prior) / (self._squares + self._prior)
         self.value = min(max(gain, 0.0), self.LARGEST)
 

@@ -153,7 +153,7 @@ class Reference:
         with self._lock:
             self.array, self.kept = None, False
             self._recent.clear()
-            # Frames that were compared with it count as those of a replaced one.
+            # Results of frames that were compared with it are discarded, as after a replacement.
             self.number += 1
 
     def save(self, path: Path) -> None:
@@ -199,7 +199,7 @@ class Reference:
 
 
 def stored_reference(name: str, reference: Reference | None) -> F32 | None:
-    """Use the stored reference of a sensor, and return it; None if there is none.
+    """Use the stored reference of a sensor, and return it; None without one.
 
     Args:
         name: Name of the file in the state folder; empty for none.

@@ -219,8 +219,8 @@ def _values(base: F64, sums: F64, pending: F64, units: F64, shares: F64, out: F6
     for axis in range(3):
         value = base[0, axis] + sums[0, axis] - pending[axis]
         moved = base[1, axis] + sums[1, axis]
-        floor, share, told = shares[axis, 0], shares[axis, 1] * value, shares[axis, 2] * moved
-        square = floor * floor + share * share + told * told + pending[axis] * pending[axis]
+        floor, share, drift = shares[axis, 0], shares[axis, 1] * value, shares[axis, 2] * moved
+        square = floor * floor + share * share + drift * drift + pending[axis] * pending[axis]
         out[0, axis], out[1, axis] = units[axis] * value, units[axis] * np.sqrt(square)
     return bool(np.isfinite(out.sum()))
 
@@ -309,7 +309,7 @@ class ShearHead:
         self._windows, self._known = 0, False
 
     @property
-    def told(self) -> F64:
+    def course(self) -> F64:
         """Value [N, N, N mm], before `shear.unit`, and size of the increments, [2, 3]."""
         sums = self._sums[self._newest]
         return np.stack([self._base[0] + sums[0] - self._pending, self._base[1] + sums[1]])

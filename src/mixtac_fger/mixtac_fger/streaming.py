@@ -454,7 +454,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     It takes seconds the very first time. The estimator must not be used afterwards.
 
     Returns:
-        The estimates; if there are none, a part was not run.
+        The estimates; if the list is empty, a part was not run.
     """
     feed, found = ForceEstimator(estimator, contact=ContactSettings()), []
     (width, height), random = feed.size, np.random.default_rng(0)

@@ -54,7 +54,7 @@ class Reason(IntEnum):
 
     @property
     def text(self) -> str:
-        """One line for people, with what to do."""
+        """The reason and its remedy, in one line."""
         return TEXTS[self]
 
 

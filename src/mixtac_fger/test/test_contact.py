@@ -116,7 +116,7 @@ def touch_at(x, y):
 
 
 def cell_flow(before, after, threshold):
-    """Return what events tell of the change from one field to another, per threshold."""
+    """Return the flow that events measure between two fields, per threshold."""
     change = DisplacementField(after.moved - before.moved, after.tensor, after.noise, 8, 4)
     rows = np.arange(ROWS) * GRID[0] // ROWS
     columns = np.arange(COLUMNS) * GRID[1] // COLUMNS
@@ -222,7 +222,7 @@ def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
     unseen = Touch(free, TouchMeter(CONFIG, SCALE).fit(free))
     assert tracker.window(2000, 0.2, STILL).touching
-    # Exposed too early to tell.
+    # Exposed too early to count.
     tracker.frame(3000, unseen)
     assert tracker.window(60_000, 0.06, STILL).touching
     tracker.frame(59_000, unseen)

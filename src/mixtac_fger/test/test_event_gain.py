@@ -14,10 +14,10 @@ from mixtac_fger.config import CELL_FEATURES, FgerConfig
 from mixtac_fger.recurrent_network import BLOW_N, EventGain, RecurrentPath
 
 
-def gain_after(changes, told, unit: float = 1.0) -> float:
-    """Return the gain after frames between which the force changed and events told of it."""
+def gain_after(changes, added, unit: float = 1.0) -> float:
+    """Return the gain after frames, of changes of the force and increments by events."""
     gain = EventGain(unit)
-    for force, total in zip(np.cumsum(changes).tolist(), np.cumsum(told).tolist(), strict=True):
+    for force, total in zip(np.cumsum(changes).tolist(), np.cumsum(added).tolist(), strict=True):
         gain.frame(force, total)
     return gain.value
 
@@ -27,42 +27,42 @@ def gain_after(changes, told, unit: float = 1.0) -> float:
 def test_it_is_least_squares_with_a_prior(true, seed, count):
     """numpy's solution over all frames at once is the oracle."""
     random = np.random.default_rng(seed)
-    told = random.uniform(-0.15, 0.15, count)
-    changes = true * told + random.uniform(-0.02, 0.02, count)
+    added = random.uniform(-0.15, 0.15, count)
+    changes = true * added + random.uniform(-0.02, 0.02, count)
     # The first frame has none before it.
     weight = EventGain.KEPT ** (0.5 * np.arange(count - 1)[::-1])
     prior = EventGain.PRIOR_N
-    inputs, target = np.append(weight * told[1:], prior), np.append(weight * changes[1:], prior)
+    inputs, target = np.append(weight * added[1:], prior), np.append(weight * changes[1:], prior)
     (found,), *_ = np.linalg.lstsq(inputs[:, None], target, rcond=None)
     expected = np.clip(found, 0.0, EventGain.LARGEST)
-    assert gain_after(changes, told) == pytest.approx(expected, abs=1e-9)
+    assert gain_after(changes, added) == pytest.approx(expected, abs=1e-9)
 
 
 def test_events_that_explain_nothing_come_to_count_nothing():
     random = np.random.default_rng(3)
-    told = random.normal(0.0, 0.2, 400)
-    assert gain_after(np.zeros(4000), np.tile(told, 10)) < 0.05
-    assert gain_after(-told, told) == 0.0
-    assert gain_after(9.0 * told, told) == EventGain.LARGEST
+    added = random.normal(0.0, 0.2, 400)
+    assert gain_after(np.zeros(4000), np.tile(added, 10)) < 0.05
+    assert gain_after(-added, added) == 0.0
+    assert gain_after(9.0 * added, added) == EventGain.LARGEST
 
 
 def test_long_rest_and_blows_teach_nothing():
     random = np.random.default_rng(5)
-    noise, told = random.normal(0.0, 0.002, (2, 20_000))
-    assert gain_after(noise, told) == pytest.approx(1.0, abs=0.25)
-    told = random.normal(0.0, 0.1, 100)
+    noise, added = random.normal(0.0, 0.002, (2, 20_000))
+    assert gain_after(noise, added) == pytest.approx(1.0, abs=0.25)
+    added = random.normal(0.0, 0.1, 100)
     blow = np.where(np.arange(100) % 10 == 5, 3.0, 0.0)
-    sound = np.where(blow > 0.0, 0.0, told)
-    assert gain_after(0.7 * told + blow, told + 3.0 * blow) == pytest.approx(
+    sound = np.where(blow > 0.0, 0.0, added)
+    assert gain_after(0.7 * added + blow, added + 3.0 * blow) == pytest.approx(
         gain_after(0.7 * sound, sound), abs=0.02
     )
 
 
 @pytest.mark.parametrize('unit', [0.5, 3.0])
 def test_the_unit_of_the_force_makes_no_difference(unit):
-    told = np.random.default_rng(4).normal(0.0, 0.1, 50)
-    assert gain_after(unit * 0.6 * told, unit * told, unit) == pytest.approx(
-        gain_after(0.6 * told, told)
+    added = np.random.default_rng(4).normal(0.0, 0.1, 50)
+    assert gain_after(unit * 0.6 * added, unit * added, unit) == pytest.approx(
+        gain_after(0.6 * added, added)
     )
 
 
@@ -108,7 +108,7 @@ def test_a_change_is_multiplied_until_a_frame_has_confirmed_it():
     path = moving_path(1.0, [0.0] * 30)
     feature = np.zeros(FgerConfig().feature_size, np.float32)
     burst = np.ones((FgerConfig().grid_rows, FgerConfig().grid_columns, CELL_FEATURES), np.float32)
-    # Frames that show more than the events tell, again and again.
+    # Frames that show more than the events do, again and again.
     for _ in range(40):
         for _ in range(20):
             path.step(np.float32(0.01) * burst)

@@ -69,7 +69,7 @@ def test_no_events_are_zero_and_the_flow_is_limited(image):
 
 
 def of_a_lamp(events: Events, image: np.ndarray) -> bool:
-    """Return whether a window's events are taken for those of a lamp."""
+    """Return whether a window's events count as a change of the lamp."""
     config = FgerConfig()
     preparation, window = FramePreparation(config), WindowFeatures(config)
     out = np.zeros(window.shape, np.float32)

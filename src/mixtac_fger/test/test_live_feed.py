@@ -100,7 +100,7 @@ def test_a_packet_that_could_not_be_read_leaves_a_hole(feed):
     packet(feed, 2, 302_000)
     feed.refuse('damaged')
     found = packet(feed, 4, 308_000)
-    # Nothing tells of 302 to 307.1 ms.
+    # Nothing reports 302 to 307.1 ms.
     assert [(estimate.end_us, estimate.complete) for estimate in found] == [(308_000, False)]
     assert feed.status().estimator.withheld == 2
 

@@ -134,7 +134,7 @@ def load(pull=(0.0, 0.0), turn=0.0):
 
 
 def flow_between(before, after):
-    """Return the event features of a motion that ideal pixels tell in one window."""
+    """Return the event features of a motion that ideal pixels report in one window."""
     cells = np.zeros((CONFIG.grid_rows, CONFIG.grid_columns, 4), np.float32)
     (of_row, of_column), shape = bin_cells(CONFIG.frame_shape, CONFIG.grid_shape), cells.shape[:2]
     for row, column in np.ndindex(shape):
@@ -152,7 +152,7 @@ def test_events_tell_what_the_next_frame_shows():
     head.step(flow_between(before, after))
     change = second.value - first.value
     # The contact that moments are about is that of the frame before.
-    np.testing.assert_allclose(head.told[0] - first.value, change, rtol=0.2)
+    np.testing.assert_allclose(head.course[0] - first.value, change, rtol=0.2)
     assert (np.abs(change) > 0.05).all()
 
 

@@ -92,7 +92,7 @@ def test_windows_that_no_packet_covers_give_no_force(model, trial):
     before = run(estimator, START_US, START_US + 5000)
     after = run(estimator, START_US + 11_000, START_US + 20_000, lost_before=True)
     assert ends(before) == [202_000, 204_000]
-    # 204 to 206 ms lacks its second half, 210 to 212 its first; nothing is known between.
+    # 204 to 206 ms lacks its second half, 210 to 212 its first; what lies between is missing.
     assert ends(after) == [206_000, 212_000, 214_000, 216_000, 218_000, 220_000]
     assert [estimate.complete for estimate in after] == [False, False, True, True, True, True]
     assert estimator.status().withheld == 2

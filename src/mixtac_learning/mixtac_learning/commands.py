@@ -67,9 +67,9 @@ def train(
 ) -> None:
     """Train a network as a YAML file describes.
 
-    With --start, training of the small network continues from trained weights; one fifth of the
-    trials is kept out of training, and the model is evaluated on them before and after. Processes
-    started by torchrun share the work.
+    With --start, training of the small network continues from trained weights. One fifth of the
+    trials is held out; the errors on it before and after training are printed. Processes started
+    by torchrun share the work.
     """
     from mixtac_learning.train.run import run_training
 

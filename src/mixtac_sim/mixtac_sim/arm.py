@@ -174,8 +174,8 @@ class JointTrajectoryController:
         self._first_cycle_s = now_s
         self._cycles = 0
         self._pending: Trajectory | None = None
-        # The trajectory being carried out: times [point] [s] and states [point, 3, joint], of which
-        # the first is the state before it.
+        # The trajectory being carried out: times [point] [s] and states [point, 3, joint],
+        # the first one before it.
         self._times, self._states = np.empty(0), np.empty((0, 3, len(q)))
 
     def accept(self, trajectory: Trajectory, now_s: float) -> str | None:

@@ -49,7 +49,7 @@ def test_the_force_goes_by_the_clock_of_the_camera(node_under_test, tmp_path):
     found = [(true_s.get(values(each), np.nan), time_s(each)) for each in force[100:]]
     pairs = np.array([pair for pair in found if pair[0] == pair[0]])
     assert np.ptp(pairs[:, 0]) > 0.5
-    # A fit over seconds tells 500 ppm from none.
+    # A fit over seconds distinguishes 500 ppm from zero.
     rate = np.polyfit(*(pairs - pairs[0]).T, 1)[0]
     assert rate - 1.0 == pytest.approx(500e-6, abs=50e-6)
     assert graph.stop()[0] == 0

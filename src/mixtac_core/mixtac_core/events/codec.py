@@ -148,8 +148,8 @@ class StreamDecoder:
     It reads `evt3` as well, whose packets continue the ones before them.
 
     Attributes:
-        timed: Whether the times of the latest packet mean anything: those of `evt3` do not before
-            the first that is whole.
+        timed: Whether the times of the latest packet are valid; times of `evt3` are not before the
+            first complete one.
     """
 
     def __init__(self) -> None:

@@ -408,8 +408,8 @@ def check_new(bag: Path) -> None:
 def find_bags(path: Path, depth: int = 3) -> list[Path]:
     """Return a bag itself, or the bags in a folder and its folders in the order of their names.
 
-    A bag that was cut off has its data but no metadata.yaml; hidden folders are left out. Bags have
-    names: those of `.` and `..` are looked up.
+    A bag that was cut off has its data but no metadata.yaml; hidden folders are left out. Bags
+    have names; for `.` and `..` the name of the folder is looked up.
 
     Args:
         path: Bag, or folder.

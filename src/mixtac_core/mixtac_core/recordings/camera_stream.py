@@ -146,7 +146,7 @@ class BagRecording:
         return replace(self._info, damage='; '.join(damage))
 
     def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return the recorded forces by their topics; those of a topic come at once."""
+        """Return the recorded forces of each topic, all at once."""
         names = self._bag.topics(topics.REFERENCE_WRENCH.type_name)
         return {name: map(self._bag.wrenches, [name]) for name in names}
 
@@ -261,7 +261,7 @@ class BagRecording:
             size = int(first.width), int(first.height)
             apart_us, beside = _stamp_us(first) - start_us, self._images or self._imu
             if beside and abs(apart_us) > OTHER_CLOCK_US:
-                # Stamps nearer to those of the packets than to the events are host times.
+                # Stamps nearer to the stamps of packets than to the events are host times.
                 later_us = _stamp_us(self._first(beside)) - start_us
                 self._offset_us = apart_us if abs(later_us - apart_us) < abs(later_us) else 0
         clock = f'{(self._leader or "").rpartition("/")[0]}/{topics.CAMERA_CLOCK.name}'
@@ -325,7 +325,7 @@ def open_recording(
         options: Units of times and size of the camera, for files that do not state them.
 
     Raises:
-        RecordingError: There is none, it cannot be read, is empty, or the choice is ambiguous.
+        RecordingError: The recording is missing, unreadable or empty, or the choice is ambiguous.
     """
     path, selection = path.expanduser(), selection or Selection()
     options = options or TableOptions()

@@ -160,7 +160,7 @@ def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split:
 
 
 def read_recordings(path: Path) -> dict[str, Any]:
-    """Return the content of a `dataset.yaml` of recordings, one without trials if there is none.
+    """Return the content of a `dataset.yaml` of recordings; without trials if it is missing.
 
     Raises:
         DatasetError: It describes something else.

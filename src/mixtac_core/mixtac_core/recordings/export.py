@@ -45,7 +45,7 @@ from mixtac_core.recordings.tables import (
 PIECES: Final = 500
 """Pieces that are written at once."""
 HDF5_ROWS: Final = 1 << 14
-"""Rows of a chunk: those of a chunk fit into the library's cache."""
+"""Rows of a chunk, which fits into the library's cache."""
 TableParts = Iterator[tuple[str, Rows]]
 """Rows of tables in recorded order: the name of a table, and its columns of equal length."""
 

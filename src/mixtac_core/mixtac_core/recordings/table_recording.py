@@ -65,7 +65,7 @@ class FileRecording:
         info: Its description, without start and contents.
         streams: Its streams; times in microseconds, frames of 10 bits.
         counters: Losses that the streams count.
-        forces: What reads the reference force; None if there is none.
+        forces: Reader of the reference force, if the recording has one.
 
     Attributes:
         info: Its description.

@@ -252,7 +252,7 @@ class CameraControl:
             return {name: read_64(protocol, *address) for name, address in COUNTERS.items()}
 
     def registers(self) -> dict[str, int]:
-        """Return the value of every register that the driver knows, by `module:parameter`.
+        """Return the value of every register that the driver uses, by `module:parameter`.
 
         Raises:
             UsbError: A request failed.

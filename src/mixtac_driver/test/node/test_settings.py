@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From parameters, masks and frames to what the camera is told."""
+"""From parameters, masks and frames to what the camera receives."""
 
 from __future__ import annotations
 
@@ -84,18 +84,18 @@ def test_a_mask_in_use_survives_other_changes():
 
 
 def test_frames_set_the_exposure_and_other_changes_keep_it():
-    settings, told = DriverSettings(AUTO), Exposures()
+    settings, sent = DriverSettings(AUTO), Exposures()
     # A frame that does not say its exposure is left out.
-    settings.follow(frame(800), 0.0, told)
-    DriverSettings(DriverParameters()).follow(frame(5), 7000.0, told)
-    assert told == []
-    settings.follow(frame(800), 7000.0, told)
-    assert told[0] < 7000
+    settings.follow(frame(800), 0.0, sent)
+    DriverSettings(DriverParameters()).follow(frame(5), 7000.0, sent)
+    assert sent == []
+    settings.follow(frame(800), 7000.0, sent)
+    assert sent[0] < 7000
     camera = Applied()
     settings.apply(replace(AUTO, roi_end_col=9), camera)
     settings.apply(replace(AUTO, aps_exposure=500), camera)
     settings.apply(DriverParameters(), camera)
-    assert [p.aps_exposure for p, _ in camera] == [told[0], 500, 7000]
+    assert [p.aps_exposure for p, _ in camera] == [sent[0], 500, 7000]
 
 
 class Sensor:

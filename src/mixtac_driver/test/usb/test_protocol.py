@@ -43,7 +43,7 @@ def test_each_error_of_the_bus_has_its_kind_and_remedy(number, kind):
 
 
 class Device:
-    """Answers requests with what it is told, in turn."""
+    """Answers requests with the given answers, in turn."""
 
     def __init__(self, *answers):
         self.answers = list(answers)

@@ -61,7 +61,7 @@ def arrived_together(camera_ns: NDArray[np.int64], reference_ns: NDArray[np.int6
 
     Args:
         camera_ns: When the edges of the camera arrived, in this order [ns], any clock, int64 [n].
-        reference_ns: When those of the reference arrived, same clock.
+        reference_ns: When the edges of the reference arrived, same clock.
     """
     if len(camera_ns) != len(reference_ns) or len(camera_ns) < FEWEST_EDGES:
         return False

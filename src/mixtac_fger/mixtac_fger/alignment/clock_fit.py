@@ -237,7 +237,7 @@ def fit_clock(
     Args:
         anchors: At least two, any order.
         min_baseline_s: Shortest time between the first and the last anchor [s].
-        max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
+        max_drift: Largest credible ``|a - 1|``, plus three standard deviations of `a`.
         common_std_s: Standard deviation of an error that all anchors share [s].
         drift_std: Prior standard deviation of ``a - 1``, which pulls an uncertain drift towards
             zero; 0 for no prior.

@@ -119,7 +119,7 @@ class FrameHistory:
             self._frames.append((*both['span'], both['values']))
 
     def snapshot(self) -> FrameFeatures | None:
-        """Return the frames of the size of the latest one, oldest first; none if there are none."""
+        """Return the frames of the size of the latest one, oldest first, or None."""
         if not self._frames:
             return None
         latest_us, _, latest = self._frames[-1]

@@ -261,7 +261,7 @@ def coincidences(
         x: Moments on one clock [s], increasing.
         y: Moments on the other clock [s], increasing.
         weight: Weight of each pair, ``[len(x), len(y)]``; None for 1.
-        tolerance_s: Largest distance of a pair, besides the drift [s].
+        tolerance_s: Largest distance of a pair, in addition to the drift [s].
         fewest: Least number of pairs.
         drift: Largest relative rate of the clocks, less one.
 
@@ -315,14 +315,14 @@ def pairs_at(
 ) -> list[tuple[int, int]]:
     """Return the pairs of moments that coincide where moment i of x is moment j of y.
 
-    They are none where two moments of x have the same partner.
+    The list is empty if two moments of x have the same partner.
 
     Args:
         x: Moments on one clock [s].
         y: Moments on the other clock [s], increasing.
         i: Index into x.
         j: Index into y.
-        tolerance_s: Largest distance of a pair, besides the drift [s].
+        tolerance_s: Largest distance of a pair, in addition to the drift [s].
         drift: Largest relative rate of the clocks, less one.
     """
     expected = x - x[i] + y[j]
@@ -416,7 +416,7 @@ def paired_impulses(
         force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
         force_N: Normal force [N], either sign, ``float64``.
         parameters: What counts as an impulse.
-        max_gap_s: Longest stretch without force samples [s], besides four periods.
+        max_gap_s: Longest stretch without force samples, in addition to four periods [s].
 
     Raises:
         NoImpulseError: Fewer than two impulses in one recording, or none that match.

@@ -56,7 +56,7 @@ HALF_KERNEL: Final = 200
 
 
 def even_force(t_s: F64, force_N: F64) -> tuple[F64, F64]:
-    """Return evenly spaced times [s] within those of the samples, and the smooth force there [N].
+    """Return evenly spaced times within the samples [s], and the smooth force there [N].
 
     It is wavelet shrinkage without decimation. Quiet stretches are smoothed over many samples, so
     that the slope of the force is known well; a band whose local power stands out of the noise, as

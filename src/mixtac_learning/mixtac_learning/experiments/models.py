@@ -222,7 +222,7 @@ def profile_estimates(context: Context, profile: str) -> Estimates:
 
 
 CONDITIONS = {'dynamic': 'dynamic trials', 'static': 'static trials'}
-"""Which trials an error is of; those of other profiles count as a whole."""
+"""Trials of an error by profile; an error of another profile is of all its trials."""
 
 
 def force_outcome(

@@ -41,9 +41,9 @@ class TrialEstimate:
         device: Identifier of its sensor.
         t_us: End of each window [us], int64 [T].
         force: Estimate [N], float64 [T].
-        known: Force that counts: the true one where it is known, else the reference's [N] [T].
-        reference: Reference's force, None where there is none or it is `known` [N] [T].
-        frames_only: The model's force of the latest frame, None where it has none [N] [T].
+        known: Force to compare with: the true one, else the reference's [N] [T].
+        reference: Reference's force, None if it is absent or equals `known` [N] [T].
+        frames_only: The model's force of the latest frame, None if it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
         across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an

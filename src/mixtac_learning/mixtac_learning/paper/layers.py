@@ -45,7 +45,7 @@ class Scale(nn.Module):
         self.deviation.fill_(1.0)
 
     def fit(self, values: Tensor, part: float = 1.0) -> tuple[Tensor, Tensor]:
-        """Move the constants towards those of values [n, size], which are returned, by a part.
+        """Move the constants by a part towards the statistics of values [n, size]; return these.
 
         The spread of channels that are constant is 1.
         """

@@ -391,7 +391,7 @@ class FrameStage(FgerStage):
 
 @torch.no_grad()
 def follow_moments(network: FgerNetwork, sequences: Sequences) -> None:
-    """Make the forces of frames those of the moments alone, by least squares, in place.
+    """Fit the forces of frames by the moments alone, by least squares, in place.
 
     Args:
         network: `NetworkWithGains.fit_scales` has been called.

@@ -241,7 +241,7 @@ _STRETCH = 25
 """Windows of a stretch of the event stage."""
 _UPDATES = 50
 _MOVES_N = 0.02
-"""Change within a stretch from which on the force is said to change [N]."""
+"""The force of a stretch counts as changing above this change [N]."""
 
 
 class EventStage(PaperStage):

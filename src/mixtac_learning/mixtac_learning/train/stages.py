@@ -350,7 +350,7 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
 
 @torch.no_grad()
 def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
-    """Return `ShearHead.told` after each window, as the live estimator has it, [T, B, 2, 3].
+    """Return `ShearHead.course` after each window, as the live estimator has it, [T, B, 2, 3].
 
     Args:
         network: With the head.
@@ -368,7 +368,7 @@ def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
             if frame >= 0:
                 head.correct(head.measure(features[frame]), lag, SPREAD_WINDOWS)
             head.step(events[window, trial])
-            out[window, trial] = head.told
+            out[window, trial] = head.course
     return torch.from_numpy(out)
 
 

@@ -278,7 +278,7 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
         reference: Topic of the reference force.
 
     Raises:
-        DatasetError: There are none.
+        DatasetError: The folder has no bags.
     """
     bags = find_bags(folder)
     if not bags:

@@ -118,7 +118,7 @@ def window_ends(
         begin_us: The first window ends here or later [us, camera clock].
 
     Raises:
-        DatasetError: There are none.
+        DatasetError: No window is complete.
     """
     first_us = -(-max(begin_us, int(np.ceil(label.t_us[0]))) // window_us) * window_us
     last_us = int(min(label.t_us[-1], camera_end_us(trial)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The networks against literal re-writings of what they are said to compute."""
+"""The networks against literal re-writings of what they compute."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_channels_begin_as_cells_of_one_polarity():
     points = torch.cartesian_prod(places, places, torch.tensor([0.5]), torch.tensor([1.0, -1.0]))
     found = encoder(points, torch.arange(len(points)), len(points))
     assert found.argmax(1).sort().values.tolist() == list(range(128))
-    # Each tells of neither the other polarity nor of places two cells away.
+    # Each depends neither on the other polarity nor of places two cells away.
     own = points[found.argmax(0)]
     for channel, place in enumerate(own):
         away = (points[:, :2] - place[:2]).abs().amax(1) > 0.45

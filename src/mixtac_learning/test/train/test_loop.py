@@ -84,7 +84,7 @@ def _averaged_by_hand() -> list[float]:
 
 
 class ScriptedStage(Stage):
-    """Validation errors as told; every epoch moves the only weight by about the rate."""
+    """Given validation errors; every epoch moves the only weight by about the rate."""
 
     name, rate = 'scripted', 0.1
 

@@ -164,7 +164,7 @@ def _flat_law(layer: Layer, indenter: Indenter) -> _Law:
 
 
 def _sphere_law(layer: Layer, indenter: Indenter) -> _Law:
-    """Return those of a sphere, Hertz's for small contacts and steeper as the base is felt."""
+    """Return the law of a sphere: Hertz's for small contacts, steeper where the base is felt."""
     radius_mm = indenter.radius_mm
     contact = solve_contact('sphere')
     widest = min(ALPHA[-1], 0.6 * radius_mm / layer.thickness_mm)
@@ -179,7 +179,7 @@ def _sphere_law(layer: Layer, indenter: Indenter) -> _Law:
 
 
 def _edge_law(layer: Layer, indenter: Indenter) -> _Law:
-    """Return those of an edge; between the depths that were solved forces go as smooth curves."""
+    """Return the law of an edge; the force is a smooth curve between the solved depths."""
     contact = solve_edge(indenter.radius_mm, indenter.length_mm, layer.thickness_mm)
     depth = np.linspace(0.0, contact.depth_mm[-1], DEPTHS)
     force = layer.modulus_kpa * PchipInterpolator(contact.depth_mm, contact.force_n)(depth)

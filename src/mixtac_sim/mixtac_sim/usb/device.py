@@ -263,7 +263,7 @@ class VirtualDavis346:
         """Hand over data that the camera sends when `advance` reaches its time.
 
         Args:
-            events: Sorted by ``t`` [us, true time], not before those of earlier calls.
+            events: Sorted by ``t`` [us, true time]; none before the events of earlier calls.
             frames: Frames in order of time.
             readings: Inertial samples in order of time.
         """

@@ -104,7 +104,7 @@ class Camera:
         Args:
             elastic_n: Elastic part of the normal force at the end of each grid step [n] [N].
             travel_px: Motion of the fastest bead in each grid step [n] [px].
-            longest: Most grid steps that may be taken at once.
+            longest: Most grid steps that may be computed as one.
             place: Returns the images of the beads after grid steps `first` to `last` - 1 of the
                 block; called once per step, in order.
         """

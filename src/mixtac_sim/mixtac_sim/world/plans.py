@@ -127,7 +127,7 @@ def session_plan(
     trained: list[TrialSpec] = []
     tested: list[TrialSpec] = []
     for column, (profile, (count, seconds)) in enumerate(trials.items()):
-        # Beyond those of `training_plan`, which begins at the same seed.
+        # Beyond the seeds of `training_plan`, which begins at the same one.
         number = TRAINING_TRIALS + first + 500 + 100 * column
         specs = [
             replace(

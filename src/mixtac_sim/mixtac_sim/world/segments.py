@@ -191,7 +191,7 @@ class Profile:
         return steps
 
     def longest_step(self, first: int, count: int) -> int:
-        """Return the most grid steps that may be taken at once from ``first`` on, among ``count``.
+        """Return how many of ``count`` grid steps from ``first`` on may be computed as one.
 
         Tones above ``SLOW_HZ`` move beads to and fro within a step that their net motion allows.
         """
@@ -288,7 +288,7 @@ class LiveProfile:
         return right, down
 
     def longest_step(self, first: int, count: int) -> int:
-        """Return the most grid steps that may be taken at once from ``first`` on."""
+        """Return how many grid steps from ``first`` on may be computed as one."""
         longest = count
         for begin, end, play in self._spans(first, count):
             longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))

@@ -53,7 +53,7 @@ def truth_rows(
 
 
 def truth_wrench(truth: NDArray[np.void]) -> Floats:
-    """Return the wrench of rows of truth at the contact [n, 6]; its tilting torques are none.
+    """Return the wrench of rows of truth at the contact [n, 6]; its tilting torques are zero.
 
     In the contact frame: x to the right and y upwards in the image, z into the gel.
     """

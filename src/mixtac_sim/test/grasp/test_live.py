@@ -99,7 +99,7 @@ ORIGIN_US = 1_700_000_001_234_567
 
 
 class Host:
-    """A host clock that goes only when told."""
+    """A host clock that goes only when a test moves it."""
 
     def __init__(self) -> None:
         self.us = 0

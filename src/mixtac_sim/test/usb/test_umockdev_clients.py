@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two drivers read the same virtual camera and see what was put in.
 
-libcaer knows nothing of Mixtac; the other is ours. Each
+libcaer is independent of Mixtac; the other is ours. Each
 runs unmodified in a process of its own. Its libusb talks to umockdev, a bridge forwards to the
 virtual camera's socket. The clients run in the interpreter that ``MIXTAC_CLIENT_PYTHON`` names,
 else in the running one if it has them.
@@ -62,7 +62,7 @@ def units(client):
 
 
 def check_frame(result, number, frame, corner=(0, 0)):
-    """Compare a frame with what was sent, as far as the client tells."""
+    """Compare a frame with what was sent, as far as the client reports it."""
     expected = image(result.client, frame.reset, frame.signal)
     np.testing.assert_array_equal(result.frames[number], expected)
     assert tuple(result.seen['corners'][number]) == corner

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """libcaer through ctypes, from the library that the wheel ``event-camera-drivers`` carries.
 
-That wheel's own Python interface hands on events only. Layouts and numbers are those of libcaer's
+That wheel's own Python interface passes on events only. Layouts and numbers are those of libcaer's
 headers ``events/*.h`` and ``devices/device.h``.
 """
 
@@ -88,7 +88,7 @@ class Libcaer:
         folder = Path(wheel.origin).parent.parent / 'event_camera_drivers.libs'
         (path,) = folder.glob('libcaer-*.so*')
         self.library = ctypes.CDLL(str(path))
-        # libcaer hands out what it allocated with malloc.
+        # libcaer returns memory that it allocated with malloc.
         self.release = ctypes.CDLL(None).free
         self.release.argtypes = [ctypes.c_void_p]
         self.library.caerDeviceOpen.restype = ctypes.c_void_p
@@ -114,7 +114,7 @@ class Libcaer:
         assert self.library.caerDeviceConfigSet(self.handle, *number)
 
     def packets(self):
-        """Return copies of the packets of the next container, none where there is none."""
+        """Return copies of the packets of the next container, if there is one."""
         container = self.library.caerDeviceDataGet(self.handle)
         if not container:
             ctypes.CDLL(None).usleep(1000)
