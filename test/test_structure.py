@@ -29,7 +29,9 @@ def write_package(root: Path, package: str, declared: tuple[str, ...] = (), **mo
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text.removeprefix('!') if text.startswith('!') else HEADER + text)
     depends = ''.join(f'<exec_depend>{each}</exec_depend>' for each in declared)
-    (folder / 'package.xml').write_text(f'<package>{depends}</package>')
+    head = f'<name>{package}</name><version>1.0.0</version><description/><maintainer/>'
+    text = f'<package format="3">{head}<license>MIT</license>{depends}</package>'
+    (folder / 'package.xml').write_text(text)
     return root
 
 
@@ -52,11 +54,22 @@ def test_the_tree_is_in_order():
         ('mixtac_sim', 'core', 'A, B = 1, 2\n', 'sentence of its own'),
         ('mixtac_sim', 'core', 'A = 1, 2\n', 'sentence of its own'),
         ('mixtac_sim', 'core', '!x = 1\n', 'SPDX'),
+        ('mixtac_sim', 'a_node', 'async def f(): ...\n', 'use a timer'),
+        ('Mixtac', 'core', '', 'is not valid'),
     ],
 )
 def test_each_fault_is_found(tmp_path, package, module, text, complaint):
     found = faults(write_package(tmp_path, package, **{module: text}))
     assert any(complaint in fault for fault in found), found
+
+
+@pytest.mark.parametrize('text', ['', '<url/><version/>', '<export/><depend>a</depend>'])
+def test_a_manifest_against_the_schema_is_found(tmp_path, text):
+    path = write_package(tmp_path, 'mixtac_sim', core='') / 'src' / 'mixtac_sim' / 'package.xml'
+    assert TOOL['check_schema'](path) == []
+    whole = path.read_text().replace('</package>', f'{text}</package>')
+    path.write_text(whole if text else whole.replace('<maintainer/>', ''))
+    assert any('package_format3' in fault for fault in TOOL['check_schema'](path))
 
 
 def test_a_package_above_its_ceiling_is_found(tmp_path):

@@ -6,11 +6,12 @@ Fails when
 
 * a package imports a package of its own floor or of a higher one,
 * imports inside a package form a circle, between modules or between folders of modules,
-* a module that is not named `*_node.py` imports rclpy,
+* a module that is not named `*_node.py` imports rclpy, or one uses tasks or event callbacks of it,
 * a package that robots run imports torch, matplotlib or the simulator,
 * a package has more code lines than its ceiling in pyproject.toml,
 * a module is too long, has no SPDX header, unpickles, or assigns constants as tuples,
-* `package.xml` does not declare a workspace package that the code imports.
+* `package.xml` does not declare a workspace package that the code imports, or its elements are not
+  those of package_format3.xsd in their order.
 
 Imports under `TYPE_CHECKING` and inside functions count like all others. The table of modules and
 code lines per package, and the list of small modules with one importer, are printed and never fail.
@@ -30,6 +31,7 @@ from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
 
 from setup_steps import ROOT, project_file
 
@@ -53,6 +55,14 @@ NOT_ON_ROBOTS = ('torch', 'matplotlib', 'mixtac_sim')
 MAX_CODE_LINES = 400
 SMALL = 60
 UNSAFE = re.compile(r'pickle\.loads?\(|torch\.load\(|yaml\.load\(|allow_pickle=True')
+UNRELIABLE = re.compile(r'async def |\.create_task\(|event_callbacks=')
+"""What EventsExecutor loses or never ends (ros2/rclpy#1718, ros2/rclpy#1644)."""
+SCHEMA = re.compile(
+    r'3 name version description( maintainer)+( license)+( url)*( author)*'
+    r'( (build|build_export|buildtool|buildtool_export|exec|doc|test)_depend| depend| conflict'
+    r'| replace)*( group_depend)*( member_of_group)*( export)?'
+)
+"""Format and elements of a `package.xml`, as package_format3.xsd demands them."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +181,8 @@ def check_text(module: Module) -> list[str]:
     ]
     if UNSAFE.search(module.text):
         wrong.append('loads data that can run code; use safetensors, npz or safe_load')
+    if module.path.stem.endswith('_node') and UNRELIABLE.search(module.text):
+        wrong.append('uses tasks or event callbacks, which EventsExecutor loses; use a timer')
     return wrong
 
 
@@ -221,6 +233,19 @@ def check_manifest(root: Path, package: str, modules: Iterable[Module]) -> list[
     return [f'src/{package}/package.xml: {name} is imported but not declared' for name in missing]
 
 
+def check_schema(path: Path) -> list[str]:
+    """Return what package_format3.xsd forbids in a package.xml: elements, order, name, version."""
+    package = ET.parse(path).getroot()
+    wrong = []
+    if not SCHEMA.fullmatch(' '.join([package.get('format', ''), *(each.tag for each in package)])):
+        wrong.append('its elements or their order are not those of package_format3.xsd')
+    patterns = {'name': '[a-z](_?[a-z0-9]+)*', 'version': r'\d+\.\d+\.\d+', 'license': r'\S.*'}
+    for tag, pattern in patterns.items():
+        if not re.fullmatch(pattern, package.findtext(tag, '')):
+            wrong.append(f'{tag} {package.findtext(tag)!r} is not valid')
+    return [f'{path.parent.name}/package.xml: {each}' for each in wrong]
+
+
 def check(root: Path, modules: list[Module]) -> list[str]:
     """Return all faults, one line each."""
     wrong = []
@@ -233,6 +258,8 @@ def check(root: Path, modules: list[Module]) -> list[str]:
         for circle in {find_circle(graph), find_circle(folders_of(graph, package))} - {''}:
             wrong.append(f'{package}: imports form a circle: {circle}')
         wrong += check_manifest(root, package, inside)
+    for path in sorted(root.glob('*/*/package.xml')):
+        wrong += check_schema(path)
     return wrong + check_ceilings(modules, project_file()['tool']['mixtac']['ceilings'])
 
 

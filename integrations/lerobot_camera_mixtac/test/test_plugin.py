@@ -32,7 +32,7 @@ def test_lerobot_finds_the_camera_and_records_an_episode(tmp_path):
             'shape': shape,
             'names': ['height', 'width', 'channels'],
         },
-        'observation.wrench': {'dtype': 'float32', 'shape': (1, 6), 'names': None},
+        'observation.force': {'dtype': 'float32', 'shape': (1,), 'names': ['normal']},
     }
     root = tmp_path / 'episode'
     dataset = datasets.LeRobotDataset.create(
@@ -41,9 +41,9 @@ def test_lerobot_finds_the_camera_and_records_an_episode(tmp_path):
     with camera:
         for _ in range(FRAMES):
             image = camera.read()
-            wrench = camera.read_wrench()
+            force = camera.read_wrench()[0, 2:3]
             dataset.add_frame(
-                {'observation.images.touch': image, 'observation.wrench': wrench, 'task': 'press'}
+                {'observation.images.touch': image, 'observation.force': force, 'task': 'press'}
             )
         assert image.shape == shape
         assert image.dtype == np.uint8

@@ -45,6 +45,8 @@ SIZES: Final = {'davis346': (346, 260), 'davis240': (240, 180), 'sbret': (240, 1
 """Width and height of the sensor by a part of the chip's name in lower case."""
 NO_EVENT: Final = 1 << 31 | 1 << 10
 """Bits that no event has."""
+PIXEL: Final = 1 << 31 | 1 << 10
+"""Bits of a pixel read after its exposure; bit 11, which inertial samples have, is 0."""
 WORDS: Final = 10_000
 """Words that are read at once."""
 _HEADER_LINE: Final = re.compile(rb'#[^\x00-\x08\x0a-\x0c\x0e-\x1f]*\n')
@@ -103,19 +105,22 @@ def open_aedat2(
     counters = ReadCounters()
     streams: Streams = {}
     if selection.events != NONE:
-        streams['events'] = partial(_events_of_words, path, start, size[0], counters)
+        streams['events'] = partial(_events_of_words, path, start, size, counters)
     return FileRecording(RecordingInfo(path, 'AEDAT 2 file', *size), streams, counters=counters)
 
 
-def _events_of_words(path: Path, start: int, width: int, counters: ReadCounters) -> Iterator[Rows]:
+def _events_of_words(
+    path: Path, start: int, size: tuple[int, int], counters: ReadCounters
+) -> Iterator[Rows]:
     """Yield the events; times [us] continue where 32 bits roll over."""
-    others, latest_us = 0, None
+    others, pixels, latest_us = 0, 0, None
     with path.open('rb') as file:
         file.seek(start)
         while len(data := file.read(8 * WORDS)) >= 8:
             words = np.frombuffer(data, '>u4', len(data) // 8 * 2).reshape(-1, 2).astype(np.int64)
             address, t = words[words[:, 0] & NO_EVENT == 0].T
             others += len(words) - len(t)
+            pixels += int(np.count_nonzero(words[:, 0] & (PIXEL | 1 << 11) == PIXEL))
             if not len(t):
                 continue
             latest_us = int(t[0]) if latest_us is None else latest_us
@@ -124,10 +129,11 @@ def _events_of_words(path: Path, start: int, width: int, counters: ReadCounters)
             t = latest_us + np.cumsum(steps - (1 << 31))
             latest_us = int(t[-1])
             # Columns left of the first become large, outside of any sensor.
-            x = (width - 1 - (address >> 12 & 0x3FF)).astype(np.uint16)
+            x = (size[0] - 1 - (address >> 12 & 0x3FF)).astype(np.uint16)
             y, polarity = address >> 22 & 0x1FF, address >> 11 & 1 == 1
             yield {'t': t, 'x': x, 'y': y, 'polarity': polarity}
     counters.other_words += others
+    counters.frames_not_read += pixels // (size[0] * size[1])
 
 
 def _dv() -> Any:  # noqa: ANN401

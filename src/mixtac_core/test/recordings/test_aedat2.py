@@ -37,13 +37,14 @@ def write(path, events, chip='Davis346blue', width=346, others=()):
 @pytest.mark.parametrize('start_us', [1000, (1 << 32) - 20_000], ids=['early', 'rolls over'])
 def test_no_pixel_of_a_frame_becomes_an_event(tmp_path, chip, size, start_us):
     events = some_events(size=size, start_us=start_us, count=12_000)
-    path = write(tmp_path / 'x.aedat', events, chip, size[0], (APS, IMU, EDGE))
+    path = write(tmp_path / 'x.aedat', events, chip, size[0], (*[APS] * 8, IMU, EDGE))
     found = read(path)
     assert_equal(found.events, events)
     assert (found.info.width, found.info.height) == size
-    assert (found.info.start_us, found.counters.other_words) == (start_us, 3 * len(events))
+    assert (found.info.start_us, found.counters.other_words) == (start_us, 10 * len(events))
+    assert found.counters.frames_not_read == 96_000 // (size[0] * size[1])
     counts = import_recording(path, tmp_path / 'bag')
-    assert (counts.events, len(counts.warnings())) == (len(events), 1)
+    assert (counts.events, len(counts.warnings())) == (len(events), 2)
     assert_equal(read(tmp_path / 'bag').events, events)
 
 

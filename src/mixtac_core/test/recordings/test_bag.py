@@ -22,7 +22,7 @@ from mixtac_core.recordings.bag import (
     typestore,
 )
 from mixtac_core.recordings.bag_writer import BagWriter, McapBag, repair
-from mixtac_core.recordings.importing import StreamWriter
+from mixtac_core.recordings.importing import StreamWriter, import_recording
 from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError
 from mixtac_core.recordings.summary import summarise
 
@@ -116,7 +116,10 @@ def test_what_the_writer_of_a_bag_said_of_it_survives_a_repair(bag: Path, tmp_pa
     assert custom_data(tmp_path / 'repaired') == said
 
 
-@pytest.mark.parametrize('make', [BagWriter, lambda out: repair(out.with_name('bag'), out)])
+MAKERS = [BagWriter, lambda out: repair(out.with_name('bag'), out)]
+
+
+@pytest.mark.parametrize('make', [*MAKERS, lambda out: import_recording(out / 'any.csv', out)])
 def test_neither_a_bag_nor_the_clock_fit_of_an_earlier_one_is_taken_over(bag: Path, make):
     new = bag.with_name('new')
     fit_path(new).write_text('{}')

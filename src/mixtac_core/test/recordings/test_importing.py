@@ -15,7 +15,7 @@ import pytest
 from recording_samples import START_US, Bag, assert_equal, read, some_events
 
 from mixtac_core.node.topics import REFERENCE
-from mixtac_core.recordings.bag import BagFile, find_bags, fit_path
+from mixtac_core.recordings.bag import BagFile, find_bags
 from mixtac_core.recordings.dataset import folder_facts
 from mixtac_core.recordings.importing import import_recording
 from mixtac_core.recordings.recording import RecordingError, Selection
@@ -192,13 +192,6 @@ def test_a_rate_that_no_camera_has_is_a_warning(tmp_path: Path):
     counts = import_recording(path, tmp_path / 'bag', options=options)
     assert counts.seconds == pytest.approx(len(EVENTS) - 1)
     assert sum('events per second' in each for each in counts.warnings()) == 1
-
-
-def test_the_clock_fit_of_an_earlier_bag_is_not_taken_over(tmp_path: Path):
-    fit_path(tmp_path / 'bag').write_text('{}')
-    with pytest.raises(RecordingError) as caught:
-        import_recording(tmp_path / 'any.csv', tmp_path / 'bag')
-    assert str(fit_path(tmp_path / 'bag')) in str(caught.value)
 
 
 @pytest.mark.parametrize('order', ['txyp', 'xytp', 'xypt', 'fields'])

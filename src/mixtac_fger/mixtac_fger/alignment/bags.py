@@ -27,7 +27,7 @@ from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.align import arrived_together
 from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit, GapError
-from mixtac_fger.alignment.histories import EventHistory, FrameHistory, Recording, force_arrays
+from mixtac_fger.alignment.histories import F64, EventHistory, FrameHistory, Recording, force_arrays
 
 LONGEST_S: Final = 3600.0
 """Longest span of frames and events that is kept [s]."""
@@ -88,15 +88,29 @@ def read_recording(
     if not (edges_only or history.packets.received):
         raise RecordingError(f'{path} topic {events} is empty: the camera sent nothing')
     camera, trigger = (np.array(each, np.int64).reshape(-1, 2) for each in edges.values())
+    measured = force_arrays(samples)
     return Recording(
         *history.snapshot(),
         frames.snapshot(),
-        *force_arrays(samples),
+        *measured,
         camera[:, 0] // 1000,
         trigger[:, 0] / 1e9,
-        bag.damage,
+        '; '.join(filter(None, (bag.damage, stuck(*measured)))),
         arrived_together(camera[:, 1], trigger[:, 1]),
     )
+
+
+def stuck(stamps_s: F64, forces: F64, most_s: float = 3.0) -> str:
+    """Return a remark if the force of a reference sensor stays the same for long, else ''.
+
+    Args:
+        stamps_s: Increasing times [s], [n].
+        forces: Forces [N], [n].
+        most_s: Longest time for which a sensor that works repeats a value, despite its noise [s].
+    """
+    changed_s = stamps_s[np.flatnonzero(np.diff(forces, append=np.inf))]
+    longest_s = np.diff(changed_s, prepend=stamps_s[:1]).max(initial=0.0)
+    return f'the reference does not move for {longest_s:.1f} s' if longest_s > most_s else ''
 
 
 def write_fit(fit: ClockFit, bag: Path) -> Path:

@@ -50,6 +50,13 @@ def test_samples_without_a_later_stamp_or_a_number_are_left_out(tmp_path: Path) 
     assert recording.force_t_s.tolist() == [1.001, 1.002, 1.004, 1.006, 1.008]
 
 
+@pytest.mark.parametrize('still_s', [0, 2, 5])
+def test_a_reference_that_does_not_move_is_reported(tmp_path: Path, still_s: int) -> None:
+    samples = [(SECOND_NS // 10 * k, float(k)) for k in range(1, 10 + 10 * still_s)]
+    samples[5 : 5 + 10 * still_s] = [(stamp, 1.5) for stamp, _ in samples[5 : 5 + 10 * still_s]]
+    assert bool(read_recording(bag(tmp_path / 'bag', samples)).damage) == (still_s > 3)
+
+
 def test_a_reference_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
     samples = [(SECOND_NS * k, float(k)) for k in (8, 9, 5, 6)]
     with pytest.raises(GapError):

@@ -26,7 +26,7 @@ from mixtac_core.recordings.bag import BagFile, custom_data, find_bags, fit_path
 from mixtac_core.recordings.camera_stream import BagRecording
 from mixtac_core.recordings.dataset import described_trial, folder_facts
 from mixtac_core.recordings.recording import NONE, DamagedRecordingError, Selection
-from mixtac_fger.alignment.bags import read_fit
+from mixtac_fger.alignment.bags import read_fit, stuck
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource, TrialArrays
 
@@ -170,13 +170,15 @@ class BagSource:
     shown: str = ''
 
     def damage(self) -> str:
-        """Return the missing parts of the bag; empty if it is complete.
+        """Return the missing parts of the bag and a reference that does not move; empty if none.
 
         Raises:
             RecordingError: Nothing of it can be read.
         """
         with BagFile(self.path) as bag:
-            return bag.damage
+            named = [self.reference] if self.reference in bag.types else []
+            still = [stuck(t_ns / 1e9, forces[:, 2]) for t_ns, forces in map(bag.wrenches, named)]
+            return '; '.join(filter(None, (bag.damage, *still)))
 
     @property
     def name(self) -> str:
