@@ -132,7 +132,7 @@ def live_images(topic: str, device: str) -> Images:
         latest = replace(IMAGE_RAW, depth=1)
         node.subscribe_topic(latest, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
         if device:
-            nodes = [each for each in sensor_graph(device) if not each.lifecycle]
+            nodes = [each for each in sensor_graph(device) if each.name != 'fger']
             start_nodes(processes, nodes, topic.strip('/').rpartition('/')[0])
         last_s = math.inf if device else time.monotonic()
         while True:

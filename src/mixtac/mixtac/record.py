@@ -24,7 +24,7 @@ from rosbags.interfaces import Connection
 
 from mixtac.figures import make_table
 from mixtac.monitor_node import CommandNode
-from mixtac.options import Namespace, Split, check_topic
+from mixtac.options import Namespace, ReferenceTopic, Split
 from mixtac_core.events.packets import CodecError, SequenceCounter, read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE, Topic
@@ -231,10 +231,7 @@ def record(
         float, typer.Option(min=0, help='Length of the recording (s); 0 records until Ctrl-C.')
     ] = 0,
     namespace: Namespace = DEFAULT_NAMESPACE,
-    reference_topic: Annotated[
-        str,
-        typer.Option(help='Topic of the reference force (WrenchStamped).', callback=check_topic),
-    ] = REFERENCE,
+    reference_topic: ReferenceTopic = REFERENCE,
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
     ] = '',

@@ -45,7 +45,6 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
         given = {'scenario': 'idle'}
         nodes = sensor_graph('virtual', virtual_sensor=given)
         processes.start_nodes(nodes, 'mixtac')
-        monitor.bring_up_all(nodes)
         monitor.listen()
         processes.spin_until(lambda: monitor.estimate.received >= 500)
         yield monitor

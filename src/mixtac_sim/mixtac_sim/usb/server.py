@@ -142,8 +142,7 @@ class UsbServer:
         if operation == wire.CONTROL:
             data = length if kind & wire.DIRECTION_IN else wire.receive(connection, length)
             return session.control((kind, request, value, index), data, timeout_ms)
-        calls = {wire.CLAIM: session.claim, wire.RELEASE: session.release}
-        calls.get(operation, session.reset)()
+        (session.claim if operation == wire.CLAIM else session.release)()
         return b''
 
     def _read(
