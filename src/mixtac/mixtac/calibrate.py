@@ -35,7 +35,6 @@ IMAGE_TIMEOUT_S = 20.0
 """Longest time without an image [s]."""
 BAG_PERIOD_NS = 200_000_000
 """Least time between two images of a bag that are searched for the board [ns]."""
-CAMERA_NAME = 'davis346'
 TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
 
 
@@ -55,7 +54,7 @@ def calibrate(
     ] = 'equidistant',
     name: Annotated[
         str, typer.Option(help='Name of the camera, as in camera_name of the driver.')
-    ] = CAMERA_NAME,
+    ] = 'davis346',
     out: Annotated[
         OptionalPath, typer.Option(help='File to write; by default the file that the driver reads.')
     ] = None,

@@ -41,9 +41,6 @@ from mixtac_driver.doctor import (
 )
 from mixtac_driver.parameters import DriverParameters
 
-VIRTUAL = 'virtual'
-SEED = 1001
-"""Seed of the virtual sensor that is started for a check, and of its noise."""
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 
 
@@ -214,13 +211,13 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
         try:
             backend = open_backend(device)
         except NoVirtualSensorError as error:
-            if device != VIRTUAL:
+            if device != 'virtual':
                 yield None, Finding(name, Level.ERROR, error.message, error.remedy)
                 return
             from mixtac_sim.live.virtual_sensor import make_virtual_sensor
             from mixtac_sim.usb.pyusb_backend import in_process_backend
 
-            sensor = make_virtual_sensor(device_seed=SEED, seed=SEED)
+            sensor = make_virtual_sensor(device_seed=1001, seed=1001)
             sensor.start()
             closing.callback(sensor.close)
             backend = in_process_backend(sensor.device)

@@ -66,7 +66,6 @@ Preset = Annotated[
         '--preset', help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.'
     ),
 ]
-ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 ReferenceTopic = Annotated[
     str,
     typer.Option(
