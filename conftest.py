@@ -193,10 +193,6 @@ class NodeUnderTest:
             if each.poll() is not None:
                 pytest.fail(f'status {each.returncode}: {each.stdout}{each.stderr}')
 
-    def last_error(self, _name: str) -> str:
-        """Return what all processes have written to their standard errors."""
-        return ''.join(each.stderr for each in self._processes)
-
     def listen(self, kind: Any, topic: str, qos: Any) -> list[Any]:  # noqa: ANN401
         """Subscribe to an absolute topic; return the list that its messages are appended to."""
         got = self.got.setdefault(topic, [])

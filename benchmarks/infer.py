@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac.figures import make_table
-from mixtac.options import JsonFile, ModelName, Preset
+from mixtac.options import JsonFile, Preset
 from mixtac_core.events.codec import decode_message, encode
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_core.node.files import write_json
@@ -229,7 +229,7 @@ def _feed_image(feed: LiveFeed, frame: Frame) -> None:
 
 
 def infer(
-    model: ModelName = DEFAULT_MODEL,
+    model: Annotated[str, typer.Option(help='Weight file, or name of a model.')] = DEFAULT_MODEL,
     seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run (s).')] = 20.0,
     preset: Preset = 'paper_like',
     json: JsonFile = None,

@@ -47,7 +47,6 @@ def measure(seconds: float) -> dict[str, Any]:
     samples: list[dict[str, float]] = []
     with ProcessGroup() as group, Monitor(NAMESPACE, group, seconds + 60.0) as monitor:
         start_nodes(group, nodes, NAMESPACE, log_level='warn')
-        monitor.bring_up_all(nodes)
         monitor.listen()
         monitor.wait_for_force()
         monitor.trigger('virtual_sensor/play')

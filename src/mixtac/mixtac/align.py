@@ -48,21 +48,15 @@ def align(
     for bag in track(found, 'aligning', console=console, disable=len(found) == 1):
         name, fit, refused, damage = shown[bag], None, '', ''
         try:
-            fit, damage = align_bag(
-                bag,
-                name=name,
-                method=method,
-                reference=reference,
-                namespace=namespace,
-                rewrite=rewrite,
-            )
+            copy = rewrite and rewrite / name
+            fit, damage = align_bag(bag, method, reference, namespace, copy)
         except MixtacError as error:
             refused = str(error)
         rows.append([name, *_row(fit, refused or damage)])
         fields = {'bag': name, 'refused': refused, 'damage': damage}
         results.append(fields | ({} if fit is None else fit.to_fields()))
-    columns = ('drift [ppm]', 'std. mid-recording [ms]', 'baseline [s]', 'remarks')
-    console.print(make_table('', ('bag', *columns), rows))
+    columns = ('bag', 'drift [ppm]', 'std. mid-recording [ms]', 'baseline [s]', 'remarks')
+    console.print(make_table('', columns, rows))
     write_json(json, results)
     if any(each['refused'] for each in results):
         raise typer.Exit(1)
@@ -70,22 +64,19 @@ def align(
 
 def align_bag(
     bag: Path,
-    *,
-    name: str = '',
     method: Method = 'taps',
     reference: str = topics.REFERENCE,
     namespace: str = f'/{topics.DEFAULT_NAMESPACE}',
-    rewrite: Path | None = None,
+    copy: Path | None = None,
 ) -> tuple[ClockFit, str]:
     """Align one bag; return its clock fit, and what of the bag is missing (empty for a sound one).
 
     Args:
         bag: Folder of the bag.
-        name: Name of the copy; empty to keep the name of the bag.
         method: As in `align.align`.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics, with its leading slash.
-        rewrite: Folder for a copy of the bag on one clock.
+        copy: Folder of a copy of the bag on one clock; None for none.
 
     Raises:
         MixtacError: The bag cannot be read, or its clocks cannot be aligned.
@@ -93,8 +84,8 @@ def align_bag(
     recording = read_recording(bag, reference, namespace, edges_only=method == 'edges')
     fit = align_recording(recording, method=method)
     write_fit(fit, bag)
-    if rewrite is not None:
-        rewrite_bag(bag, fit, rewrite / (name or bag.name), reference, namespace)
+    if copy is not None:
+        rewrite_bag(bag, fit, copy, reference, namespace)
     return fit, recording.damage
 
 

@@ -35,7 +35,6 @@ IMAGE_TIMEOUT_S = 20.0
 """Longest time without an image [s]."""
 BAG_PERIOD_NS = 200_000_000
 """Least time between two images of a bag that are searched for the board [ns]."""
-CAMERA_NAME = 'davis346'
 TOPIC = IMAGE_RAW.resolved(DEFAULT_NAMESPACE)
 
 
@@ -55,7 +54,7 @@ def calibrate(
     ] = 'equidistant',
     name: Annotated[
         str, typer.Option(help='Name of the camera, as in camera_name of the driver.')
-    ] = CAMERA_NAME,
+    ] = 'davis346',
     out: Annotated[
         OptionalPath, typer.Option(help='File to write; by default the file that the driver reads.')
     ] = None,
@@ -132,7 +131,7 @@ def live_images(topic: str, device: str) -> Images:
         latest = replace(IMAGE_RAW, depth=1)
         node.subscribe_topic(latest, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
         if device:
-            nodes = [each for each in sensor_graph(device) if not each.lifecycle]
+            nodes = [each for each in sensor_graph(device) if each.name != 'fger']
             start_nodes(processes, nodes, topic.strip('/').rpartition('/')[0])
         last_s = math.inf if device else time.monotonic()
         while True:

@@ -5,11 +5,9 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -20,7 +18,7 @@ from mixtac.loads import LiveProcedure, Session, from_bag
 from mixtac.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
 from mixtac.up import start_nodes
 from mixtac_core.node.files import write_json
-from mixtac_core.node.graph import is_virtual, sensor_graph
+from mixtac_core.node.graph import NodeSpec, is_virtual, sensor_graph
 from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_fger.config import ModelError
@@ -50,9 +48,6 @@ from mixtac_fger.weights import (
     read_model,
     save_model,
 )
-
-if TYPE_CHECKING:
-    from mixtac.monitor_node import Monitor
 
 DEFAULT_LOADS = '20,50,100'
 """Loads that are asked for unless others are named [g]."""
@@ -124,8 +119,14 @@ def calibrate_force(
     if bag is not None:
         session = from_bag(bag, content, known, pulls, '' if loads else reference)
     else:
+        from mixtac.monitor_node import Monitor
+
         prompt = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
-        with running_sensor(console, namespace, device, start, params_file, reference) as monitor:
+        console.print('starting the sensor; a first start compiles for some minutes')
+        with ProcessGroup() as processes, Monitor(namespace, processes, SESSION_S) as monitor:
+            start_nodes(processes, measured_sensor(device, start), namespace, params_file, 'warn')
+            monitor.listen(reference)
+            monitor.wait_for_force()
             drives = yes and is_virtual(device)
             procedure = LiveProcedure(console, monitor, yes=yes, drives=drives)
             session = procedure.lead(known, pulls, prompt)
@@ -151,43 +152,20 @@ def calibrate_force(
     write_json(json, facts | {'out': str(out)} | entry)
 
 
-@contextmanager
-def running_sensor(
-    console: Console,
-    namespace: str,
-    device: str,
-    model: Path,
-    params_file: Path | None,
-    reference: str,
-) -> Iterator[Monitor]:
-    """Start a sensor; yield its monitor once it publishes forces, and stop it at the end.
+def measured_sensor(device: str, model: Path) -> list[NodeSpec]:
+    """Return the nodes of a sensor whose model is measured, whatever a parameter file sets.
+
+    The prompts ask for an untouched sensor. Forces that are not valid count, as in a recording:
+    loads reveal wrong ones.
 
     Args:
-        console: Where to report.
-        namespace: ROS namespace of the sensor.
         device: As for `mixtac up`.
         model: Weight file of the estimator.
-        params_file: Parameter file of the nodes.
-        reference: Topic of the reference force.
-
-    Raises:
-        GraphError: A node failed.
     """
-    from mixtac.monitor_node import Monitor
-
-    # The prompts ask for an untouched sensor. The model is measured, whatever the file sets, and
-    # forces that are not valid count, as in a recording: loads reveal wrong ones.
     estimator: dict[str, object] = {'model': str(model.resolve()), 'assume_free': True}
     estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
     estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
-    nodes = sensor_graph(device, estimator=estimator)
-    console.print('starting the sensor; a first start compiles for some minutes')
-    with ProcessGroup() as processes, Monitor(namespace, processes, SESSION_S) as monitor:
-        start_nodes(processes, nodes, namespace, params_file, 'warn')
-        monitor.bring_up_all(nodes)
-        monitor.listen(reference)
-        monitor.wait_for_force()
-        yield monitor
+    return sensor_graph(device, estimator=estimator)
 
 
 def parse_loads(text: str, sd_grams: float) -> list[Load]:

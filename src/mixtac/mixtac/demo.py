@@ -23,7 +23,7 @@ from mixtac.options import OptionalPath
 from mixtac.up import record_command, sensor_values, show, show_without_ros, start_nodes
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
-from mixtac_core.node.files import FileError, write_json
+from mixtac_core.node.files import write_json
 from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, stamp_to_ns
@@ -87,12 +87,7 @@ def demo(
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     domain = os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     console.print(f'ROS_DOMAIN_ID={domain} (for tools in another terminal)')
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise FileError(
-            f'cannot create folder {folder}: {error.strerror}', remedy='name a new folder in --out'
-        ) from error
+    folder.mkdir(parents=True)
     settings = {'seconds': seconds, 'seed': seed}
     with ProcessGroup(folder / 'log') as processes:
         times = _run_graph(console, processes, folder / BAG, model, settings)
@@ -153,7 +148,6 @@ def _run_graph(
     with Monitor(DEFAULT_NAMESPACE, processes) as monitor:
         processes.start('record', record_command(bag, DEFAULT_NAMESPACE))
         start_nodes(processes, nodes)
-        monitor.bring_up_all(nodes)
         monitor.listen()
         monitor.wait_for_force()
         # The process began as the script that sets everything up.

@@ -11,7 +11,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from importlib.metadata import distributions
 from pathlib import Path
@@ -41,9 +41,6 @@ from mixtac_driver.doctor import (
 )
 from mixtac_driver.parameters import DriverParameters
 
-VIRTUAL = 'virtual'
-SEED = 1001
-"""Seed of the virtual sensor that is started for a check, and of its noise."""
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 
 
@@ -209,25 +206,20 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
     from mixtac_driver.device import open_backend
     from mixtac_sim.usb.faults import NoVirtualSensorError
 
-    name = 'virtual sensor'
-    try:
-        backend = open_backend(device)
-    except NoVirtualSensorError as error:
-        if device != VIRTUAL:
-            yield None, Finding(name, Level.ERROR, error.message, error.remedy)
-            return
-    else:
-        yield backend, ok(name, 'a running one is checked')
-        return
-    from mixtac_sim.live.virtual_sensor import make_virtual_sensor
-    from mixtac_sim.usb.pyusb_backend import in_process_backend
+    name, found = 'virtual sensor', 'a running one is checked'
+    with ExitStack() as closing:
+        try:
+            backend = open_backend(device)
+        except NoVirtualSensorError as error:
+            if device != 'virtual':
+                yield None, Finding(name, Level.ERROR, error.message, error.remedy)
+                return
+            from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+            from mixtac_sim.usb.pyusb_backend import in_process_backend
 
-    sensor = make_virtual_sensor(device_seed=SEED, seed=SEED)
-    sensor.start()
-    try:
-        yield (
-            in_process_backend(sensor.device),
-            ok(name, 'none is running; one was started for this check'),
-        )
-    finally:
-        sensor.close()
+            sensor = make_virtual_sensor(device_seed=1001, seed=1001)
+            sensor.start()
+            closing.callback(sensor.close)
+            backend = in_process_backend(sensor.device)
+            found = 'none is running; one was started for this check'
+        yield backend, ok(name, found)

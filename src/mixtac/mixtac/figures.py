@@ -36,18 +36,13 @@ def make_table(
     return table
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return a figure of a size in inches. It needs no display."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_in, height_in), layout='constrained')
-
-
 def new_axes(
     columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its axes with a grid, row by row; sizes in inches."""
-    figure = new_figure(width, height)
+    """Return a figure, which needs no display, and its axes row by row; sizes in inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout='constrained')
     flat = list(figure.subplots(rows, columns, squeeze=False).flat)
     for ax in flat:
         ax.spines[['top', 'right']].set_visible(False)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
@@ -20,8 +20,6 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from numpy.typing import NDArray
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -31,7 +29,6 @@ from std_srvs.srv import Trigger
 
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, starting
-from mixtac_core.node.graph import NodeSpec
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.topics import stamp_to_ns
 from mixtac_msgs.srv import Touch
@@ -41,8 +38,6 @@ DEPTH: Final = 1000
 """Forces that may wait: two seconds in which the host has no time for the monitor."""
 MOST_HZ: Final = 1100
 """Highest rate of forces and of the reference that `Monitor` keeps [Hz]."""
-LOG_PATIENCE_S: Final = 3.0
-"""Longest time from the response of a service that refuses to its log message [s]."""
 REPORT_PERIOD_S: Final = 10.0
 """Time between two progress lines while waiting [s]."""
 
@@ -152,24 +147,6 @@ class Monitor(ExitStack):
         self.serial = ''
         self._clients: dict[str, Any] = {}
 
-    def bring_up_all(self, nodes: Sequence[NodeSpec]) -> None:
-        """Configure and activate the lifecycle nodes of the processes; before `listen`.
-
-        Waits as long as the processes run: a first start compiles.
-
-        Raises:
-            GraphError: That failed.
-        """
-        for name in [node.name for node in nodes if node.lifecycle]:
-            for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-                request = ChangeState.Request(transition=Transition(id=transition))
-                if not self._ask(ChangeState, f'{name}/change_state', request).success:
-                    end_s = time.monotonic() + LOG_PATIENCE_S
-                    last_error = partial(self.processes.last_error, name)
-                    while not (why := last_error()) and time.monotonic() < end_s:
-                        time.sleep(0.05)
-                    raise GraphError(f'{name} could not be started: {why or "see its log"}')
-
     def listen(self, reference: str = topics.REFERENCE) -> None:
         """Subscribe and start receiving; `reference` is the topic of the reference force."""
         node = self._node
@@ -200,10 +177,6 @@ class Monitor(ExitStack):
         self._call(Touch, 'virtual_sensor/touch', Touch.Request(gesture=gesture, **values))
 
     def _call(self, kind: Any, service: str, request: Any) -> None:  # noqa: ANN401
-        if not (reply := self._ask(kind, service, request)).success:
-            raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
-
-    def _ask(self, kind: Any, service: str, request: Any) -> Any:  # noqa: ANN401
         # One client for all calls: the answer to a new one can get lost while it is discovered.
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
@@ -211,7 +184,8 @@ class Monitor(ExitStack):
         self.wait(client.service_is_ready, f'the service {service}')
         future = client.call_async(request)
         self.wait(future.done, f'the answer of {service}')
-        return future.result()
+        if not (reply := future.result()).success:
+            raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 
     def wait_for_force(self) -> None:
         """Wait, while listening, until the estimator publishes."""

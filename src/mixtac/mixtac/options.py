@@ -17,7 +17,8 @@ JsonFile = Annotated[
     OptionalPath,
     typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
 ]
-_NAMESPACE = re.compile(r'/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
+# At most 200 characters.
+_NAMESPACE = re.compile(r'(?!.{201})/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
 
 
 def check_namespace(value: str) -> str:
@@ -40,14 +41,11 @@ def check_topic(value: str) -> str:
 
 
 def _checked_name(value: str, kind: str, valid: bool) -> str:
-    if len(value) > _LONGEST or not valid:
-        raise typer.BadParameter(
-            f'{value[:_LONGEST]!r} is no ROS {kind}: use letters, digits, _ and /'
-        )
+    if not valid:
+        raise typer.BadParameter(f'{value[:200]!r} is no ROS {kind}: use letters, digits, _, /')
     return value
 
 
-_LONGEST = 200
 Namespace = Annotated[
     str,
     typer.Option('--namespace', help='ROS namespace of the sensor.', callback=check_namespace),
@@ -65,7 +63,6 @@ Preset = Annotated[
     Literal['easy', 'paper_like', 'hard', 'varied'],
     typer.Option('--preset', help='Difficulty of the simulated sensor.'),
 ]
-ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 _REFERENCE = 'Topic of the reference force (WrenchStamped).'
 ReferenceTopic = Annotated[
     str, typer.Option('--reference-topic', help=_REFERENCE, callback=check_topic)

@@ -163,18 +163,17 @@ class Listener(CommandNode):
             )
         self._began_ns = time.time_ns()
 
-    def finish(self) -> dict[str, Any] | None:
-        """Write the queued messages and close the bag.
+    def finish(self) -> dict[str, Any]:
+        """Write the queued messages and close the bag that was started.
 
         Returns:
-            Length [s] and losses for dataset.yaml; None without a bag.
+            Length [s] and losses for dataset.yaml.
 
         Raises:
             RecordingError: The bag could not be finished.
         """
         writer, self.writer = self.writer, None
-        if writer is None:
-            return None
+        assert writer is not None  # noqa: S101  (`start` makes it)
         seconds = (time.time_ns() - self._began_ns) / 1e9
         writer.close()
         figures = {meter.topic.name: meter.figures() for meter in self.meters if meter.messages}
@@ -191,7 +190,8 @@ class Listener(CommandNode):
     def destroy_node(self) -> None:
         """Destroy the node; a bag that was not finished, because of an error, is now."""
         try:
-            self.finish()
+            if self.writer is not None:
+                self.finish()
         finally:
             super().destroy_node()
 
@@ -250,7 +250,6 @@ def record(
         listener.start(out)
         _show(console, listener, out, seconds or math.inf, stopping)
         figures = listener.finish()
-        assert figures is not None  # noqa: S101  (started above)
         path = add_recording(out, figures, profile=profile, split=split)
     console.print(f'{out}: {verdict(figures)}')
     console.print(f'described in {path}')

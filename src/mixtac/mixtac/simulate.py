@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 
 from mixtac.options import Preset
 from mixtac_sim.bags.trial_bag import generate
@@ -47,8 +47,7 @@ def simulate(
     else:
         planned, split_by = plan_profile(profile, trials, seconds, seed, preset), 'trial'
     plan = describe(dataset or profile, seed, preset, split_by, planned)
-    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=Console(markup=False)) as progress:
+    with Progress(console=Console(markup=False)) as progress:
         task = progress.add_task(f'{plan.name}, {plan.preset}', total=len(plan.trials))
         written = generate(
             plan,

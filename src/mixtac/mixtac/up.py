@@ -28,7 +28,6 @@ from mixtac.options import Namespace, OptionalPath, ParamsFile, Preset, RunTime
 from mixtac_core.node.graph import (
     NodeSpec,
     is_virtual,
-    live_view,
     node,
     sensor_graph,
     slip_control,
@@ -126,10 +125,6 @@ def up(
         return
     from mixtac.monitor_node import Monitor
 
-    if view:
-        from mixtac.view_node import require_rerun
-
-        require_rerun()
     play = play and is_virtual(device)
     nodes = sensor_graph(
         device,
@@ -142,7 +137,6 @@ def up(
             processes.start('record', record_command(record, namespace))
         start_nodes(processes, nodes, namespace, params_file, log_level)
         with Monitor(namespace, processes) as monitor:
-            monitor.bring_up_all(nodes)
             monitor.listen()
 
             def estimates() -> bool:
@@ -354,11 +348,10 @@ def view(
     params_file: ParamsFile = None,
 ) -> None:
     """Show a running sensor in the browser: events, frame, force, contact, state."""
-    from mixtac.view_node import require_rerun
-
-    require_rerun()
+    options = {'port': port, 'save': save and str(save)}
+    given = {name: value for name, value in options.items() if value is not None}
     with ProcessGroup() as processes:
-        start_nodes(processes, [live_view(port, save)], namespace, params_file)
+        start_nodes(processes, [node('mixtac', 'view', overrides=given)], namespace, params_file)
         target = save or 'the page whose address is printed below'
         Console(markup=False).print(
             f'showing /{namespace.strip("/")} in {target}; press Ctrl-C to stop'

@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -27,8 +27,6 @@ NO_CONTACT: Final = 'idle'
 LEAD_US: Final = 2_000_000
 """From the start of the stream to the first contact, and between two scenarios [us]."""
 SCENARIO_S: Final = 25.0
-REPORT_S: Final = 10.0
-"""A start that takes longer is reported [s]."""
 
 
 class VirtualProcess:
@@ -50,14 +48,12 @@ class VirtualProcess:
         self._process = subprocess.Popen(
             ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
-        text = 'waiting for the virtual sensor: a first start compiles for half a minute'
-        report = threading.Timer(REPORT_S, print, [text], {'file': sys.stderr})
-        report.daemon = True
-        report.start()
+        print(
+            'starting a virtual sensor; a first start compiles for half a minute', file=sys.stderr
+        )
         assert self._process.stdout is not None  # noqa: S101  (always piped)
         # Libraries may print lines before the answer.
         answer = next((line for line in self._process.stdout if line.startswith(b'{')), b'{}')
-        report.cancel()
         found = json.loads(answer)
         if not found.get('device'):
             self.close()
@@ -91,7 +87,8 @@ def serve(scenario: str) -> None:
 
     # Forked while this process has one thread.
     process = SimulationProcess()
-    make_profile(scenario, 0, SCENARIO_S, preset=PAPER_LIKE, sync=False)
+    profile = partial(make_profile, scenario, duration_s=SCENARIO_S, preset=PAPER_LIKE, sync=False)
+    profile(0)
     with tempfile.TemporaryDirectory(prefix='mixtac-') as folder:
         sensor = make_virtual_sensor(
             device_seed=1, seed=1, skew_ppm=17.0, preset=PAPER_LIKE, process=process
@@ -104,10 +101,7 @@ def serve(scenario: str) -> None:
             while not select.select([sys.stdin], [], [], 0.05)[0]:
                 state = sensor.state()
                 if state.streaming and not state.playing and scenario != NO_CONTACT:
-                    profile = make_profile(
-                        scenario, plays, SCENARIO_S, preset=PAPER_LIKE, sync=False
-                    )
-                    sensor.play(profile, lead_us=LEAD_US)
+                    sensor.play(profile(plays), lead_us=LEAD_US)
                     plays += 1
         finally:
             sensor.close()

@@ -94,7 +94,7 @@ def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None
 
 
 def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) -> None:
-    fit, _ = align_bag(bag, rewrite=tmp_path / 'one')
+    fit, _ = align_bag(bag, copy=tmp_path / 'one' / 'trial')
     with BagFile(bag) as old, BagFile(tmp_path / 'one' / 'trial') as new:
         assert new.counts['/mixtac/events'] == old.counts['/mixtac/events']
         assert new.counts['/mixtac/clock_fit'] == 1
@@ -108,7 +108,7 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
     shown_us = (before - round(REFERENCE_S * 1e9)) / RATE / 1e3
     assert np.abs(after / 1e3 - START_US - shown_us).max() < 1500.0
     with pytest.raises(MixtacError) as caught:
-        align_bag(bag, rewrite=tmp_path / 'one')
+        align_bag(bag, copy=tmp_path / 'one' / 'trial')
     assert 'new' in str(caught.value)
 
 

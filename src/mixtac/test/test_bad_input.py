@@ -129,33 +129,3 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
             assert 'Traceback' not in errors, line
             count += 1
     assert count > 300
-
-
-@pytest.mark.parametrize(
-    ('command', 'option', 'value'),
-    [
-        ('up slip', '--object', 'cat'),
-        ('up slip', '--preset', 'xyz'),
-        ('up slip', '--disturb', '-5'),
-        ('up slip', '--every', '-1'),
-        ('up slip', '--seed', '-1'),
-        ('up slip', '--seed', '10000000'),
-    ],
-)
-def test_wrong_options_of_simulations_are_named_before_anything_starts(
-    command: str,
-    option: str,
-    value: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def start(*_: object) -> None:
-        raise AssertionError('something starts')
-
-    monkeypatch.setattr('mixtac_core.node.process.ProcessGroup.start', start)
-    try:
-        status = main([*command.split(), option, value])
-    except SystemExit as leave:
-        status = leave.code
-    assert status == 2
-    assert option in capsys.readouterr().err

@@ -42,7 +42,6 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     with Monitor('mixtac', processes, 120) as monitor:
         nodes = sensor_graph('virtual', virtual_sensor={'scenario': 'idle'})
         processes.start_nodes(nodes, 'mixtac')
-        monitor.bring_up_all(nodes)
         monitor.listen()
         processes.spin_until(lambda: monitor.estimate.received >= 500)
         yield monitor

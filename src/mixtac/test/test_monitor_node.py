@@ -11,7 +11,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from geometry_msgs.msg import WrenchStamped
 
 from mixtac.monitor_node import Monitor, Series
-from mixtac_core.node.graph import node
 from mixtac_core.node.process import GraphError
 
 
@@ -21,16 +20,11 @@ class Ended:
     def check(self):
         raise GraphError('fger has ended')
 
-    def last_error(self, name):
-        return name
-
 
 @pytest.mark.dds
 def test_waiting_ends_with_the_processes(ros_domain):
     # In the root namespace, too.
     with Monitor('/', Ended()) as monitor:
-        with pytest.raises(GraphError):
-            monitor.bring_up_all([node('mixtac_fger', 'fger', lifecycle=True)])
         with pytest.raises(GraphError):
             monitor.trigger('fger/tare')
         monitor.listen()

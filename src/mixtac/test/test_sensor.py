@@ -132,8 +132,7 @@ def test_what_cannot_be_opened_says_why(source, model, error):
     assert not sensor.is_open
 
 
-def test_while_a_virtual_sensor_starts_lines_say_so(monkeypatch, capsys):
-    monkeypatch.setattr(virtual, 'REPORT_S', 0.05)
+def test_a_line_says_that_a_virtual_sensor_starts(capsys):
     with pytest.raises(SensorError) as caught:
         virtual.VirtualProcess('no_such_scenario')
     assert 'no_such_scenario' in str(caught.value)

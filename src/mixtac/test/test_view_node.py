@@ -41,7 +41,7 @@ from mixtac.view_node import (
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
 from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
-from mixtac_core.node.graph import live_view
+from mixtac_core.node.graph import node
 from mixtac_core.node.images import fill
 from mixtac_core.node.process import GraphError
 from mixtac_msgs.msg import SlipState
@@ -187,7 +187,7 @@ class Feeder:
 def test_what_is_published_is_shown_and_nothing_is_undecodable(node_under_test, tmp_path):
     path = tmp_path / 'run.rrd'
     node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
-    node_under_test.start_nodes([live_view(save=path)], 'mixtac')
+    node_under_test.start_nodes([node('mixtac', 'view', overrides={'save': str(path)})], 'mixtac')
     feeder = Feeder(node_under_test.node)
     node_under_test.spin_until(lambda: feeder.seen >= 60, feeder.feed)
     node_under_test.spin_until(lambda: node_under_test.diagnostics(NAME), feeder.feed)

@@ -144,13 +144,13 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             )
         if not state.running:
             return Status(ERROR, 'SIMULATED sensor, stopped by an internal error: see the log', {})
-        lossless = not any(losses.values()) and not state.overruns
+        lossless = not any(losses.values()) and not state.lost_us
         doing = f'playing {self._settings.scenario}' if state.playing else 'idle'
         host = 'camera read by a host' if state.streaming else 'camera not read'
         return Status(
             OK if lossless else WARN,
             f'SIMULATED sensor, {doing}, {host}'
-            + ('' if lossless else '; host too slow, see overruns and losses'),
+            + ('' if lossless else '; host too slow, see lost_us and losses'),
             {
                 'simulated': True,
                 'scenario': self._settings.scenario,

@@ -208,13 +208,12 @@ class SequenceCounter:
         restarts: Times that the numbers went back, or forward by more than RESTART_STEP.
         continuous: False if something is missing directly before the latest message: a loss or
             a restart. True after the first message.
-        last: Number of the latest message, None before the first.
     """
 
     def __init__(self) -> None:
         self.received = self.lost = self.repeated = self.restarts = 0
         self.continuous = True
-        self.last: int | None = None
+        self._last: int | None = None
 
     def update(self, seq: int) -> int:
         """Count a message.
@@ -227,8 +226,8 @@ class SequenceCounter:
             repetition, never negative.
         """
         seq = int(seq)
-        step = 1 if self.last is None else seq - self.last
-        self.last = seq
+        step = 1 if self._last is None else seq - self._last
+        self._last = seq
         self.continuous = step in {0, 1}
         if step == 0:
             self.repeated += 1
@@ -262,16 +261,12 @@ class StreamTime:
 
     Attributes:
         newest_us: Time up to which the stream is known, camera clock [us]; None before the first.
-        gaps: Holes of any length.
         restarts: Times the clock went back.
-        skipped_us: Camera time in holes after which the estimate started over [us].
     """
 
     def __init__(self) -> None:
         self.newest_us: int | None = None
-        self.gaps = 0
         self.restarts = 0
-        self.skipped_us = 0
         self._hole_us = (0, 0)
 
     def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
@@ -292,9 +287,7 @@ class StreamTime:
         step = first_us - newest
         if step <= 0 or not (lost_before or step > JUMP_US):
             return Arrival.CONTINUES
-        self.gaps += 1
         if step > LONG_HOLE_US:
-            self.skipped_us += step
             return self._start(first_us, complete_until_us)
         self._hole_us = newest, first_us
         return Arrival.AFTER_HOLE

@@ -27,14 +27,12 @@ class NodeSpec:
     Attributes:
         module: Module whose `main` runs the node; its last name ends in `_node`.
         name: Node name.
-        lifecycle: True if the node waits to be configured and activated.
         required: True if a launch file ends the graph when this process ends.
         overrides: Parameter values that take precedence over the parameter files.
     """
 
     module: str
     name: str
-    lifecycle: bool = False
     required: bool = False
     overrides: Mapping[str, object] = field(default_factory=dict)
 
@@ -161,8 +159,9 @@ def sensor_graph(
         nodes.append(slip_control({**follow, **slip}))
     # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
     recorded = simulated_time or is_virtual(device) or Path(device).exists() or '/' in device
-    own = {**({'assume_free': True} if recorded else {}), **follow, **(estimator or {})}
-    nodes.append(node('mixtac_fger', 'fger', lifecycle=True, required=True, overrides=own))
+    own = {'assume_free': True} if recorded else {}
+    own |= {'autostart': True, **follow, **(estimator or {})}
+    nodes.append(node('mixtac_fger', 'fger', required=True, overrides=own))
     return nodes
 
 
@@ -178,20 +177,6 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
         overrides: Parameters, such as `arm` and `detector`.
     """
     return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
-
-
-def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
-    """Return the node of the live view.
-
-    Args:
-        port: Port of the page on 127.0.0.1, 0 for any free one; None keeps that of the parameter
-            files.
-        save: New .rrd file to write instead of serving a page.
-    """
-    overrides: dict[str, object] = {} if port is None else {'port': port}
-    if save is not None:
-        overrides['save'] = str(save)
-    return node('mixtac', 'view', overrides=overrides)
 
 
 if __name__ == '__main__':

@@ -126,9 +126,9 @@ def _ends(name: str, node: Node) -> list[Any]:
 def _node(context: LaunchContext, spec: NodeSpec) -> Node:
     """Return the action that starts a node."""
     own = value(context, 'params_file')
-    if spec.lifecycle:
+    if 'autostart' in spec.overrides:
         autostart = value(context, 'autostart') != 'false'
-        spec = replace(spec, overrides={'autostart': autostart, **spec.overrides})
+        spec = replace(spec, overrides={**spec.overrides, 'autostart': autostart})
     return Node(
         package=spec.package,
         executable=spec.executable,

@@ -219,15 +219,11 @@ class ProcessGroup:
                     # What it logged before has nothing to do with it.
                     raise GraphError(f'{name} was ended by {signal.Signals(-code).name}')
                 how = f'{name} ended with status {code}'
-                raise GraphError(': '.join(filter(None, (how, self.last_error(name)))))
+                raise GraphError(': '.join(filter(None, (how, self._errors.get(name)))))
 
     def pid(self, name: str) -> int:
         """Return the id of a process."""
         return self._processes[name].pid
-
-    def last_error(self, name: str) -> str:
-        """Return the last line that a process logged as an error, or an empty string."""
-        return self._errors.get(name, '')
 
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.

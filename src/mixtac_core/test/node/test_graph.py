@@ -14,7 +14,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_core.node.graph import (
     config_file,
-    live_view,
+    node,
     sensor_graph,
     slip_control,
 )
@@ -51,10 +51,9 @@ for node in sensor_graph('virtual', align=True):
 def test_a_camera_needs_driver_and_estimator():
     nodes = sensor_graph('davis346')
     assert names(nodes) == ['driver', 'fger']
-    assert [node.name for node in nodes if node.lifecycle] == ['fger']
     assert all(node.required for node in nodes)
     # Whether something touches a real sensor at the start is not known.
-    assert overrides(nodes)['fger'] == {}
+    assert overrides(nodes)['fger'] == {'autostart': True}
 
 
 def test_the_virtual_sensor_comes_first_and_shares_its_socket():
@@ -62,7 +61,7 @@ def test_the_virtual_sensor_comes_first_and_shares_its_socket():
     assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
     assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
     assert overrides(nodes)['driver'] == {'device': 'virtual:/a/b.sock'}
-    assert overrides(nodes)['fger'] == {'assume_free': True}
+    assert overrides(nodes)['fger'] == {'assume_free': True, 'autostart': True}
 
 
 def test_additions_stand_between_sensor_and_driver():
@@ -78,7 +77,7 @@ def test_simulated_time_comes_from_the_driver_or_the_virtual_sensor():
     found = overrides(sensor_graph('/some/bag', simulated_time=True))
     assert found == {
         'driver': {'device': '/some/bag', 'playback_clock': True},
-        'fger': {'assume_free': True, 'use_sim_time': True},
+        'fger': {'assume_free': True, 'autostart': True, 'use_sim_time': True},
     }
     found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
     assert found['virtual_sensor'] == {'publish_clock': True}
@@ -112,11 +111,11 @@ def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_pa
 
 
 def test_every_node_is_installed_and_has_a_parameter_file():
-    more = [slip_control({'arm': 'none'}), live_view(0)]
+    more = [slip_control({'arm': 'none'}), node('mixtac', 'view')]
     for device, options in (
         ('virtual', {'align': True}),
         ('x', {'slip': {}}),
     ):
-        for node in [*sensor_graph(device, **options), *more]:
-            assert node.command('mixtac')
-            assert config_file(f'{node.name}.yaml').is_file()
+        for each in [*sensor_graph(device, **options), *more]:
+            assert each.command('mixtac')
+            assert config_file(f'{each.name}.yaml').is_file()

@@ -133,20 +133,16 @@ class SensorState:
 
     Attributes:
         running: Whether the threads of the sensor are alive.
-        overruns: Number of times the host could not keep up and time stopped.
-        lost_us: Total time for which it stopped [us]: stamps of the camera and the reference lie as
-            far in the past.
+        lost_us: Total time for which simulated time stopped because the host could not keep up
+            [us]: stamps of the camera and the reference lie as far in the past.
         playing: Whether a scenario is under way.
         streaming: Whether a host reads the camera.
-        batches_dropped: Batches of truth that were not fetched in time.
     """
 
     running: bool
-    overruns: int
     lost_us: int
     playing: bool
     streaming: bool
-    batches_dropped: int
 
 
 class VirtualSensor:
@@ -180,8 +176,6 @@ class VirtualSensor:
         self._due_us = 0
         self._ahead_us = 0
         self._ahead_until_us = 0
-        self._overruns = 0
-        self._late = False
         self._settings_version = 0
         self._aps = (0, 0)
         self._pixels = PixelSettings()
@@ -190,7 +184,6 @@ class VirtualSensor:
         self._simulating = Lock()
         self._truth: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
         self._references: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
-        self._dropped = 0
         self._stop = Event()
         self._threads: list[Thread] = []
 
@@ -259,11 +252,9 @@ class VirtualSensor:
         end_us = self._profile.end_us()
         return SensorState(
             running=bool(self._threads) and all(thread.is_alive() for thread in self._threads),
-            overruns=self._overruns,
             lost_us=self._clock.lost_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
             streaming=self.device.streaming,
-            batches_dropped=self._dropped,
         )
 
     def step(self) -> None:
@@ -294,8 +285,6 @@ class VirtualSensor:
         late = behind_us > MOST_BEHIND_US or self.device.backlog > MOST_UNREAD
         if late:
             self._clock.lose(behind_us)
-            self._overruns += not self._late
-        self._late = late
         return late
 
     def _known_us(self) -> int:
@@ -358,7 +347,6 @@ class VirtualSensor:
         while self._pending and self._pending[0][0] <= until_us:
             _, truth, samples = self._pending.popleft()
             stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
-            self._dropped += len(self._truth) == MOST_BATCHES
             self._truth.append(WrenchSamples(stamp_ns, truth_wrench(truth)))
             stamp_ns = samples.t_ns + self._clock.start_epoch_ns
             self._references.append(WrenchSamples(stamp_ns, samples.wrench))

@@ -28,7 +28,6 @@ from mixtac_sim.usb.faults import (
     UsbGone,
     UsbStall,
     UsbTimeout,
-    VirtualUsbError,
 )
 from mixtac_sim.usb.registers import (
     CLOCK_DEVIATION,
@@ -91,7 +90,7 @@ class VirtualDavis346:
         self._clock = clock
         self._condition = Condition()
         # A session that began before the last plugging-in is dead, like a handle of its file.
-        self._plugs, self._resets, self._present = 0, 0, True
+        self._plugs, self._present = 0, True
         self._owner: Session | None = None
         self._faults = FaultInjector(self._condition)
         self._oldest_s, self._wanted = 0.0, sys.maxsize
@@ -129,11 +128,6 @@ class VirtualDavis346:
         """End all faults."""
         with self._condition:
             self._faults.clear()
-
-    def restart_clock(self) -> None:
-        """Restart the camera's clock, as by the synchronisation cable."""
-        with self._condition:
-            self._restart_time(announce=True)
 
     def control(
         self,
@@ -243,14 +237,6 @@ class VirtualDavis346:
         with self._condition:
             if self._owner == owner:
                 self._owner = None
-
-    def reset(self) -> None:
-        """Do a USB port reset: registers, buffer and clock as after power-up."""
-        with self._condition:
-            self.check_present()
-            self._resets += 1
-            self._faults.clear()
-            self._power_up()
 
     # The producer's side.
 
@@ -380,12 +366,10 @@ class VirtualDavis346:
         if endpoint not in _ENDPOINTS:
             raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        plugs, resets = self._plugs, self._resets
+        plugs = self._plugs
         is_data = endpoint == endpoints.DATA_ENDPOINT
         while True:
             self.check_present(plugs)
-            if resets != self._resets:
-                raise VirtualUsbError('the port was reset during the read')
             if is_data:
                 self._faults.before_read()
             now = time.monotonic()
@@ -500,8 +484,3 @@ class Session:
         self._device.release(self)
 
     release = close
-
-    def reset(self) -> None:
-        """Do a USB port reset."""
-        self._device.check_present(self._plugs)
-        self._device.reset()

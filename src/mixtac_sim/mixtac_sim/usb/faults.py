@@ -79,7 +79,7 @@ class FaultKind(Enum):
         DROP_BYTES: ``size`` bytes are lost, rounded up to whole words.
         FREEZE: The data endpoint has nothing to send; with neither ``seconds`` nor ``count`` until
             the host restarts the stream.
-        HANG_READS: Reads do not return, not even at their time-out, until the port is reset.
+        HANG_READS: Reads do not return, not even at their time-out.
         BABBLE: Reads fail because more data came than requested (EOVERFLOW).
         READ_ERROR: Reads fail on the bus (EIO).
     """

@@ -182,11 +182,6 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         with _as_usb_errors():
             dev_handle.control((0x02, 1, 0, ep), b'', _STANDARD_MS)
 
-    def reset_device(self, dev_handle: Link) -> None:
-        """Reset the camera to its power-up state."""
-        with _as_usb_errors():
-            dev_handle.reset()
-
 
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
     """Return a pyusb backend that finds this one device."""
@@ -240,10 +235,6 @@ class SocketLink:
     def release(self) -> None:
         """Give the interface back."""
         self._call(wire.RELEASE)
-
-    def reset(self) -> None:
-        """Do a USB port reset."""
-        self._call(wire.RESET)
 
     def close(self) -> None:
         """End the session; reads that wait end with `UsbGone`."""

@@ -25,7 +25,6 @@ _SLICE_MS: Final = 250
 _RETRY_S: Final = 0.1
 # Connections that may wait to be accepted: without descriptors they wait until some are free.
 _BACKLOG: Final = 64
-_MAX_PATH: Final = 100
 
 
 class UsbServer:
@@ -62,7 +61,8 @@ class UsbServer:
         except OSError as error:
             self._listener.close()
             raise VirtualUsbError(
-                f'cannot listen on {path}: {error.strerror}', remedy='choose another socket'
+                f'cannot listen on {path}: {error.strerror or error}',
+                remedy='choose another socket',
             ) from error
         self._thread = threading.Thread(target=self._accept, name='usb-accept', daemon=True)
         self._thread.start()
@@ -142,8 +142,7 @@ class UsbServer:
         if operation == wire.CONTROL:
             data = length if kind & wire.DIRECTION_IN else wire.receive(connection, length)
             return session.control((kind, request, value, index), data, timeout_ms)
-        calls = {wire.CLAIM: session.claim, wire.RELEASE: session.release}
-        calls.get(operation, session.reset)()
+        (session.claim if operation == wire.CLAIM else session.release)()
         return b''
 
     def _read(
@@ -171,13 +170,8 @@ def check_free(path: str) -> None:
     """Refuse a path that cannot be served; call it before a long preparation.
 
     Raises:
-        VirtualUsbError: The path is too long, or it holds anything but a socket of a program that
-            has ended.
+        VirtualUsbError: It holds anything but a socket of a program that has ended.
     """
-    if len(path.encode()) > _MAX_PATH:
-        raise VirtualUsbError(
-            f'the socket path {path} is too long', remedy='set XDG_RUNTIME_DIR to a shorter path'
-        )
     if os.path.lexists(path) and not _is_left_over(path):
         raise VirtualUsbError(
             f'{path} is in use, or is no socket',

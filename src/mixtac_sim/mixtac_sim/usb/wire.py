@@ -25,7 +25,6 @@ CONTROL: Final = 1
 READ: Final = 2
 CLAIM: Final = 3
 RELEASE: Final = 4
-RESET: Final = 5
 DIRECTION_IN: Final = 0x80
 
 
@@ -69,7 +68,7 @@ def call(
 
     Args:
         connection: A connected socket that no other thread uses during the call.
-        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE` or `RESET`.
+        operation: `CONTROL`, `READ`, `CLAIM` or `RELEASE`.
         setup: ``bmRequestType`` or endpoint address, ``bRequest``, ``wValue`` and ``wIndex``.
         data: Data to the device.
         wanted: Bytes wanted from the device, where none are sent.

@@ -144,9 +144,7 @@ def test_time_stops_while_the_host_is_behind_and_goes_on_where_it_stood(sensor, 
     words(sensor.device)
     sensor.take_truth()
     run_for(sensor, host, 5.0, period=5.0)
-    state = sensor.state()
-    assert state.overruns == 1
-    assert state.lost_us == 5_000_000
+    assert sensor.state().lost_us == 5_000_000
     assert len(words(sensor.device)) == 0
     run_for(sensor, host, 0.1)
     assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 100
@@ -162,7 +160,6 @@ def test_time_stops_while_nobody_reads_the_camera_and_nothing_is_lost(sensor, ho
         assert sensor.device.feed(np.zeros(1 << 16, np.uint16))
     run_for(sensor, host, 2.0)
     assert sensor.state().lost_us == 2_000_000
-    assert sensor.state().overruns == 1
     while len(words(sensor.device)):
         pass
     run_for(sensor, host, 0.1)
@@ -194,11 +191,10 @@ def test_pixels_follow_the_bias_registers(sensor, simulation, host):
     assert simulation.pixels == [PixelSettings.from_biases({ON: low})]
 
 
-def test_unfetched_batches_are_bounded_and_counted(sensor, host):
+def test_unfetched_batches_are_bounded(sensor, host):
     run_for(sensor, host, 10.0)
     truth = sensor.take_truth()
     assert len(truth) == 2048
-    assert sensor.state().batches_dropped > 0
     last = truth[-1].t_ns[-1]
     assert last == EPOCH_NS + 9_999_000_000
 
@@ -257,7 +253,7 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
         host.ns += 10_000_000
         wait_for(lambda k=k: sensor.time_ns() == EPOCH_NS + 10_000_000 * k)
     assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 650
-    assert sensor.state().overruns == 0
+    assert sensor.state().lost_us == 0
     simulation.released.set()
     sensor.close()
 

@@ -20,13 +20,6 @@ def device():
     return VirtualDavis346('V0000042')
 
 
-def test_an_announced_restart_of_the_clock_is_sent(device):
-    start(device)
-    write(device, 9, 1, 0)
-    device.restart_clock()
-    assert device.read_bulk(0x82, 64, 1.0) == b'\1\0'
-
-
 def test_its_stamps_count_from_the_host_time_of_the_last_reset_at_the_pace_of_the_camera():
     now_us = 7_000_000
     device = VirtualDavis346('V0000042', skew_ppm=500.0, clock=lambda: now_us)
