@@ -31,11 +31,7 @@ from mixtac_learning.train.config import (
 )
 from mixtac_learning.train.loop import TrainingError
 from mixtac_learning.train.paper_stage import PaperTraining
-from mixtac_learning.train.run import (
-    held_out,
-    run_training,
-    train_model,
-)
+from mixtac_learning.train.run import held_out, run_training, train_model
 from mixtac_learning.trials.bags import BagSource
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation

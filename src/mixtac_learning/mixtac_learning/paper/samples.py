@@ -223,35 +223,33 @@ def assemble(
         config: Of the network; what it does not read stays empty.
         features: f_frame of all frames of each sample where it is known, [frames, channels].
     """
-    columns: list[list[Any]] = [[] for _ in range(6)]
-    points, packets, frames, pictures, slots, before = columns
-    count = 0
+    parts, slots, count = [], [], 0
     for column, segment in enumerate(segments):
         sample, rows = samples[segment.trial], slice(segment.start, segment.stop)
+        # Frames by their numbers: those that arrive, and the latest before.
         named = np.append(sample.slots[rows], sample.slots[: segment.start].max(initial=-1))
         if config.model == 'events':
             named[:] = -1
         used = np.unique(named[named >= 0])
-        frames.append(features[segment.trial][used] if features else sample.seen(used, config))
-        shown = used if config.model == 'fusion' else used[:0]
-        pictures.append(np.log1p(sample.counts[shown].astype(np.float32)))
-        index = np.where(named >= 0, np.searchsorted(used, named) + count, -1)
-        slots.append(index[:-1])
-        before.append(index[-1])
+        slots.append(np.where(named >= 0, np.searchsorted(used, named) + count, -1))
         count += len(used)
+        frames = features[segment.trial][used] if features else sample.seen(used, config)
+        shown = used if config.model == 'fusion' else used[:0]
+        pictures = np.log1p(sample.counts[shown].astype(np.float32))
         starts = sample.starts[segment.start : segment.stop + 1]
         if config.model not in {'fger', 'events'}:
             starts = starts[:1]
-        points.append(sample.points[starts[0] : starts[-1]])
-        packet = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-        packets.append(packet * len(segments) + column)
+        packet = np.repeat(np.arange(len(starts) - 1), np.diff(starts)) * len(segments) + column
+        parts.append((sample.points[starts[0] : starts[-1]], packet, frames, pictures))
+    joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    table = torch.from_numpy(np.stack(slots, 1))
     return SegmentBatch(
-        points=_tensor(np.concatenate(points)),
-        packet=torch.from_numpy(np.concatenate(packets)),
-        frames=_tensor(np.concatenate(frames)),
-        event_frames=_tensor(np.concatenate(pictures)),
-        slots=torch.from_numpy(np.stack(slots, 1)),
-        before=torch.from_numpy(np.array(before)),
+        points=_tensor(joined[0]),
+        packet=torch.from_numpy(joined[1]),
+        frames=_tensor(joined[2]),
+        event_frames=_tensor(joined[3]),
+        slots=table[:-1],
+        before=table[-1],
         force=_tensor(np.stack([samples[s.trial].force[s.start : s.stop] for s in segments], 1)),
     )
 

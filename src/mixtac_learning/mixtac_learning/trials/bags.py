@@ -38,7 +38,7 @@ def label_on_camera_clock(
 
     Args:
         t_us: Camera clock [us], [n].
-        values: Force x, y, z [N] and torque z [Nm], [n, 4].
+        values: Force x, y, z [N] and torque x, y, z [Nm], [n, 6].
         what: Name of the topic, for messages.
 
     Raises:
@@ -50,7 +50,7 @@ def label_on_camera_clock(
         raise DatasetError(f'{what} holds values that are not finite: check the force sensor')
     order = np.argsort(t_us, kind='stable')
     times, sorted_values = t_us[order], values[order]
-    across = ForceLabel(times, sorted_values[:, [0, 1, 3]])
+    across = ForceLabel(times, sorted_values[:, [0, 1, 5]])
     return ForceLabel(times, sorted_values[:, 2].copy()), across
 
 
@@ -101,44 +101,33 @@ def read_forces(
         DatasetError: It has neither a true force nor a reference that can be aligned.
         AlignmentError: A clock fit beside it or inside is damaged.
     """
-    rows: dict[bool, list[tuple[float, ...]]] = {False: [], True: []}
-    stamps: dict[bool, list[int]] = {False: [], True: []}
     pairs: list[tuple[int, int]] = []
     fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
-        chosen = [
-            topic
-            for topic, kind in bag.types.items()
-            if topic == reference
-            or topic.endswith((_TRUE_FORCE, _CAMERA_CLOCK))
-            or kind == CLOCK_FIT
-        ]
-        for topic, _, message in bag.messages(*chosen):
-            if topic == reference or topic.endswith(_TRUE_FORCE):
-                true, wrench = topic != reference, message.wrench
-                force = wrench.force
-                stamps[true].append(stamp_to_ns(message.header.stamp))
-                rows[true].append((force.x, force.y, force.z, wrench.torque.z))
-            elif topic.endswith(_CAMERA_CLOCK):
+        clocks = [t for t, k in bag.types.items() if t.endswith(_CAMERA_CLOCK) or k == CLOCK_FIT]
+        for topic, _, message in bag.messages(*clocks):
+            if topic.endswith(_CAMERA_CLOCK):
                 pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
             else:
                 fits[topic.endswith(_TRUE_FIT)] = ClockFit.from_fields(vars(message))
+        wanted = [t for t in bag.types if t == reference or t.endswith(_TRUE_FORCE)]
+        forces = {t != reference: bag.wrenches(t) for t in wanted if bag.counts[t]}
         # Damaged chunks are found while the bag is read.
         if bag.damage and not incomplete:
             raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='run `mixtac repair`')
     made = read_fit(path) if fit_path(path).exists() else fits.get(False)
     fit = made or fits.get(True)
     truth = measured = across = None
-    if stamps[True]:
-        t_us = host_to_camera_us(np.array(stamps[True], np.int64), pairs)
-        values = np.array(rows[True], np.float64)
+    if True in forces:
+        stamps, values = forces[True]
+        t_us = host_to_camera_us(stamps, pairs)
         truth, across = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
-    if stamps[False] and fit is not None:
-        t_us = fit.stamp_to_camera_us(np.array(stamps[False], np.int64))
-        values = np.array(rows[False], np.float64)
+    if False in forces and fit is not None:
+        stamps, values = forces[False]
+        t_us = fit.stamp_to_camera_us(stamps)
         measured, _ = label_on_camera_clock(t_us, values, f'{path} topic {reference}')
     if truth is None and measured is None:
-        if stamps[False]:
+        if False in forces:
             raise DatasetError(
                 f'{path} has no clock fit to place {reference}', remedy=f'run `mixtac align {path}`'
             )

@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import joblib
 import numpy as np
@@ -23,13 +23,15 @@ from mixtac_core.node.files import FileError, new_folder
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 from mixtac_fger.shear import NEWTONS
-from mixtac_learning.trials.bags import TrialSource
 from mixtac_learning.trials.trial import (
     DatasetError,
     TrialArrays,
     frame_arrivals,
     window_ends,
 )
+
+if TYPE_CHECKING:
+    from mixtac_learning.trials.bags import TrialSource
 
 FACTS_FILE = 'origin.json'
 """File of the origin of a trial in the folder of its sample."""

@@ -40,20 +40,20 @@ class Source:
 
 
 def sources_of(*bags: tuple[str, str], trial: TrialArrays):
-    """Return what finds bags of these names and splits in every folder."""
-    return lambda folder, _: [Source(folder / n, trial, {'split': split}) for n, split in bags]
+    """Return what finds bags of these names and splits in every folder; one.bag is a bag itself."""
+
+    def sources(folder: Path, _reference: str) -> list[Source]:
+        if folder.suffix == '.bag':
+            return [Source(folder, trial, {'split': 'train'})]
+        return [Source(folder / name, trial, {'split': split}) for name, split in bags]
+
+    return sources
 
 
 def test_a_bag_that_is_named_is_judged_whatever_its_split(
     model, trial, tmp_path, monkeypatch, capsys
 ):
-    def sources(folder: Path, _reference: str) -> list[Source]:
-        bags = [folder] if folder.suffix == '.bag' else [folder / 'a', folder / 'b']
-        origins = [
-            {'name': bag.name, 'split': 'test' if bag.name == 'b' else 'train'} for bag in bags
-        ]
-        return [Source(bag, trial, origin) for bag, origin in zip(bags, origins, strict=True)]
-
+    sources = sources_of(('a', 'train'), ('b', 'test'), trial=trial)
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, replace(model, card=ModelCard({'bags': ['a', 'b']})))

@@ -121,9 +121,6 @@ def test_figures_of_a_case_worked_out_by_hand():
     assert found['r2'] == pytest.approx(1 - 5 / 14)
     assert found['constant_mae'] == 1.5
     assert (found['peak_truth'], found['peak_estimate'], found['samples']) == (5.0, 3.0, 4)
-
-
-def test_a_constant_truth_has_no_r2():
     assert 'r2' not in measure(np.ones(3), np.zeros(3))
 
 
@@ -134,16 +131,6 @@ def test_the_scale_is_found_despite_noise_and_a_lost_stretch(scale, seed):
     estimate = truth / scale + random.normal(0, 0.01, truth.size)
     estimate[500:550] *= 3.0
     assert fit_scale(estimate, truth) == pytest.approx(scale, rel=0.03)
-
-
-def test_the_scale_makes_the_mean_absolute_error_smallest():
-    random = np.random.default_rng(1)
-    truth = random.uniform(0.2, 1.0, 500)
-    estimate = truth * random.uniform(0.5, 1.5, 500)
-    found = fit_scale(estimate, truth)
-    smallest = np.mean(np.abs(found * estimate - truth))
-    for other in (0.97, 1.0 / found, 1.03):
-        assert np.mean(np.abs(other * found * estimate - truth)) >= smallest
 
 
 @pytest.mark.parametrize('force', [0.05, 0.0])

@@ -46,12 +46,8 @@ class LineStage(Stage):
             noise = 0.0 * torch.rand(1)  # the global random state is part of a run as well
             yield (self.model(self.x[part]) + noise - self.y[part]).square().mean()
 
-    def validate(self) -> float | None:
-        with torch.no_grad():
-            return float((self.model(self.x) - self.y).abs().mean())
 
-
-def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) -> TrainingLoop:
+def fit(folder: Path, kill_after: int, processes: Processes) -> TrainingLoop:
     torch.manual_seed(7)
     model = torch.nn.Linear(1, 1)
 
@@ -63,7 +59,6 @@ def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) 
     loop = TrainingLoop(
         model,
         seed=5,
-        patience=patience,
         checkpoint=folder / 'checkpoint.safetensors',
         fingerprint='line',
         show=show,

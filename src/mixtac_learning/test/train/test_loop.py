@@ -117,22 +117,18 @@ def scripted(errors, patience=0, path=None) -> tuple[ScriptedStage, TrainingLoop
     return stage, loop
 
 
-def test_early_stop_goes_back_to_the_best_weights():
-    stage, loop = scripted([6.0, 5.0, 3.0, 4.0, 3.5, 1.0], patience=2)
-    assert [row['epoch'] for row in loop.progress.curves] == [1, 2, 3, 4]
-    assert stage.weight.item() == stage.seen[2]
-
-
-def test_no_stage_ends_worse_than_it_began():
-    stage, loop = scripted([2.0, 5.0, 3.0, 4.0], patience=5)
-    assert len(loop.progress.curves) == 3
-    assert stage.weight.item() == stage.seen[0] == 0.0
-
-
-def test_without_patience_all_epochs_are_run():
-    stage, loop = scripted([5.0, 3.0, 4.0, 3.5, 6.0])
-    assert len(loop.progress.curves) == 5
-    assert stage.weight.item() == stage.seen[-1]
+@pytest.mark.parametrize(
+    ('errors', 'patience', 'epochs', 'kept'),
+    [
+        ([6.0, 5.0, 3.0, 4.0, 3.5, 1.0], 2, 4, 2),  # ends early, and goes back to the best
+        ([2.0, 5.0, 3.0, 4.0], 5, 3, 0),  # ends as it began
+        ([5.0, 3.0, 4.0, 3.5, 6.0], 0, 5, -1),
+    ],
+)
+def test_a_stage_keeps_its_best_weights_where_it_has_patience(errors, patience, epochs, kept):
+    stage, loop = scripted(errors, patience)
+    assert [row['epoch'] for row in loop.progress.curves] == list(range(1, epochs + 1))
+    assert stage.weight.item() == stage.seen[kept]
 
 
 def test_a_checkpoint_of_another_run_or_version_is_refused(tmp_path):

@@ -26,7 +26,7 @@ from mixtac_learning.trials.samples import (
     make_sample,
     save_sample,
 )
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource, TrialArrays
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource
 from mixtac_sim.world import plans as generation
 from mixtac_sim.world.plans import (
     TrialSpec,
@@ -185,17 +185,11 @@ def test_training_and_evaluation_never_meet(trials, gels, seed, other):
     assert len({(s.device_seed, s.profile) for s in judged}) == len(judged)
 
 
-@pytest.fixture
-def arrays(trial) -> TrialArrays:
-    return replace(trial, reference=None, origin={'name': 'toy', 'profile': 'press'})
-
-
-def test_labels_that_are_not_known_are_asked_for_in_vain(arrays):
-    assert arrays.label() is arrays.truth
-    measured = ForceLabel(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
-    assert replace(arrays, truth=None, reference=measured).label() is measured
+def test_the_true_force_is_learned_where_it_is_known(trial):
+    assert trial.label() is trial.truth
+    assert replace(trial, truth=None).label() is trial.reference
     with pytest.raises(DatasetError):
-        replace(arrays, truth=None).label()
+        replace(trial, truth=None, reference=None).label()
 
 
 def test_packets_are_thinned_evenly_and_normalised():
