@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files and tables agree with the code that defines them."""
+"""Parameter files hold the defaults, and every parameter is described."""
 
 from __future__ import annotations
 
@@ -15,11 +15,6 @@ from mixtac_core.node.parameters import build, specs
 pytest.importorskip('diagnostic_msgs', reason='needs ROS 2')
 ROOT = Path(__file__).resolve().parents[1]
 TOOL = runpy.run_path(str(ROOT / 'tools' / 'write_reference.py'))
-
-
-@pytest.mark.parametrize('path', TOOL['pages'](), ids=lambda path: path.name)
-def test_pages_are_up_to_date(path: Path):
-    assert path.read_text() == TOOL['pages']()[path], f'{path} is out of date: run make docs'
 
 
 @pytest.mark.parametrize('node', TOOL['SCHEMAS'])

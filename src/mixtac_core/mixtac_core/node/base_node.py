@@ -318,10 +318,10 @@ def run(node_class: Callable[[], BaseNode], args: list[str] | None = None) -> in
     """
     signals = Signals()
     node: Any = None
-    if signals.received:
-        # Blocked during the imports.
-        return 0
     try:
+        if signals.received:
+            # Blocked during the imports.
+            return 0
         with starting():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = node_class()

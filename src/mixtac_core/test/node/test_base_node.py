@@ -67,7 +67,9 @@ NODE = textwrap.dedent(
 
         def work(self):
             print('working', flush=True)
-            time.sleep(60)
+            # A signal just before a sleep does not interrupt it: many short ones.
+            for _ in range(6000):
+                time.sleep(0.01)
 
         def flood(self):
             if self.publisher.get_subscription_count():

@@ -66,12 +66,6 @@ def test_every_word_among_usual_ones(word, geometry):
         )
 
 
-def test_stamp_that_goes_back_keeps_the_time_and_is_counted():
-    found = both([0x8010, 0x1001, *[0x2001] * 40, 0x800F, 0x2001, 0x8010, 0x2001, 0x8011, 0x2001])
-    assert [e[1] for e in found.events[-4:]] == [16, 16, 16, 17]
-    assert found.decoder.counters.words_unexpected == 1
-
-
 def test_times_of_twenty_days_are_exact():
     day_us = 24 * 3600 * 10**6
     wraps = 20 * day_us // 32768
