@@ -73,11 +73,16 @@ def test_steps_are_remembered_and_changed_inputs_run_again(tool, tmp_path):
     assert not tool.Steps(record).is_done('install', 'a')
 
 
-def test_the_failure_of_a_step_is_named_with_its_output(tool, monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ('printed', 'found'), [('refused', 'PIP_FAILED'), ('No space left on device', 'NO_SPACE')]
+)
+def test_the_failure_of_a_step_is_named_with_its_output(
+    tool, monkeypatch, tmp_path, printed, found
+):
     monkeypatch.setattr('setup_steps.ROOT', tmp_path)
     with pytest.raises(tool.SetupError) as caught:
-        tool.call(['sh', '-c', 'echo refused; exit 1'], tool.PIP_FAILED)
-    assert {tool.PIP_FAILED, 'refused'} <= set(str(caught.value).splitlines())
+        tool.call(['sh', '-c', f'echo {printed}; exit 1'], tool.PIP_FAILED)
+    assert {getattr(tool, found), printed} <= set(str(caught.value).splitlines())
 
 
 def test_uv_has_the_index_of_pip_which_installs_where_uv_cannot(tool, monkeypatch):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import errno
 import fcntl
 import os
 import platform
@@ -26,7 +27,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from setup_checks import check_place, check_python, check_system, full_ros
-from setup_steps import ROOT, SetupError, Steps, call, fingerprint, project_file, say
+from setup_steps import NO_SPACE, ROOT, SetupError, Steps, call, fingerprint, project_file, say
 
 BEGUN = 'installing'
 """Step in the record that stands there while packages are being installed."""
@@ -143,7 +144,9 @@ def install_packages(venv: Path, arguments: list[str]) -> None:
             call([*pip_install(venv), '--no-compile', '--target', str(folder), UV], PIP_FAILED)
         uv = [str(folder / 'bin' / 'uv'), 'pip', 'install']
         call([*uv, '--python', str(venv / 'bin' / 'python'), *arguments], PIP_FAILED, env)
-    except SetupError:
+    except SetupError as error:
+        if str(error).startswith(NO_SPACE):
+            raise
         say('uv cannot install here (see log/setup.log): pip does, more slowly')
         call([*pip_install(venv), *arguments], PIP_FAILED)
 
@@ -378,7 +381,12 @@ def main() -> int:
     except SetupError as error:
         print(f'error: {error}', file=sys.stderr)
         return 1
-    except PermissionError as error:
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            print(f'error: {NO_SPACE}', file=sys.stderr)
+            return 1
+        if not isinstance(error, PermissionError):
+            raise
         print(
             f'error: {error.filename} cannot be written: run `make setup` as the user to whom '
             f'{ROOT} belongs',

@@ -16,6 +16,8 @@ from setup_steps import ROOT, SetupError
 
 SUPPORTED_PYTHON = ((3, 10), (3, 13))
 SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
+NEEDED_MB = 1200
+"""What an environment takes on the disk [MB]."""
 LINKS = ('src/mixtac_bringup/config', 'src/mixtac_bringup/launch', 'src/mixtac_fger/models')
 """Symbolic links of the sources."""
 
@@ -55,11 +57,15 @@ def check_python() -> None:
 
 
 def check_system() -> None:
-    """Refuse a machine without what pip cannot bring.
+    """Refuse a machine without space, or without what pip cannot bring.
 
     Raises:
-        SetupError: Names what is missing and the command that installs it.
+        SetupError: Names what is missing and the remedy.
     """
+    if (free_mb := shutil.disk_usage(ROOT).free // 1_000_000) < NEEDED_MB:
+        raise SetupError(
+            f'{free_mb} MB are free on the disk of {ROOT}, and {NEEDED_MB} MB are needed: free some'
+        )
     missing = {}
     if not shutil.which('make'):
         missing['make'] = 'make'

@@ -25,6 +25,9 @@ def project_file() -> dict[str, Any]:
     return content
 
 
+NO_SPACE = 'no space is left: free some on the disk, or set TMPDIR to a folder with more'
+
+
 class SetupError(Exception):
     """A step that cannot be done here; the text says why and what to do."""
 
@@ -95,5 +98,5 @@ def call(command: list[str], failure: str, env: dict[str, str] | None = None) ->
     if result.returncode:
         tail = '\n'.join(log.read_text(errors='replace').splitlines()[-15:])
         if 'No space left on device' in tail:
-            failure = 'no space is left: free some on the disk, or set TMPDIR to a folder with more'
+            failure = NO_SPACE
         raise SetupError(f'{failure}\n{tail}\n(the whole output is in {log.relative_to(ROOT)})')

@@ -12,8 +12,8 @@ from typing import Generic, TypeVar
 from mixtac_core.events.errors import MixtacError
 
 T = TypeVar('T')
-LONG_MS = 60_000
-"""A virtual sensor needs some seconds to its first force, or a minute if it is compiled first."""
+LONG_MS = 300_000
+"""A virtual sensor needs some seconds to its first force, on a busy computer minutes."""
 LOOK_S = 0.1
 """Longest time until a waiting reader notices that the source has ended [s]."""
 

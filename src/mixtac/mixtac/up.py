@@ -352,10 +352,7 @@ def view(
     given = {name: value for name, value in options.items() if value is not None}
     with ProcessGroup() as processes:
         start_nodes(processes, [node('mixtac', 'view', overrides=given)], namespace, params_file)
-        target = save or 'the page whose address is printed below'
-        Console(markup=False).print(
-            f'showing /{namespace.strip("/")} in {target}; press Ctrl-C to stop'
-        )
+        Console().print('starting the view; press Ctrl-C to stop')
         while save is not None and not save.exists():
             run_until(processes, POLL_S)
         run_until(processes, seconds)

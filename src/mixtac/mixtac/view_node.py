@@ -14,6 +14,7 @@ import socket
 import subprocess
 import tempfile
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -248,7 +249,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         """Send remaining data and that the view has ended, then end the server."""
         end = self._rr.TextDocument('# The view has ended', media_type='text/markdown')
         self._stream.log('state', end)
-        self._stream.flush(timeout_sec=2.0)
+        with suppress(RuntimeError):  # It is not sent in time: the machine is busy.
+            self._stream.flush(timeout_sec=2.0)
         self._stream.disconnect()
         if self._server is not None:
             self._server.close()
