@@ -288,6 +288,12 @@ def slip(
         int,
         typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
     ] = 1,
+    press: Annotated[
+        bool, typer.Option(help='Press before any slip, or only answer slips.')
+    ] = True,
+    figure: Annotated[
+        OptionalPath, typer.Option(help='Draw force and object around the latest impact.')
+    ] = None,
     seconds: RunTime = 0.0,
 ) -> None:
     """Run the real driver, estimator and slip control on a simulated grasp that is struck."""
@@ -304,10 +310,13 @@ def slip(
             'seed': seed,
             'socket': str(socket),
             'publish_clock': True,
-            'publish_force': False,
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
+        if not press:
+            reach['grip_margin'] = 1.0
         supervisor = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
+        if figure is not None:
+            supervisor['figure'] = str(figure.absolute())
         # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
             f'virtual:{socket}',
