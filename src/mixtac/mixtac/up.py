@@ -278,8 +278,8 @@ def slip(
         ),
     ] = 50.0,
     every: Annotated[
-        float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
-    ] = 8.0,
+        float, typer.Option(min=0.0, max=3600.0, help='Least time between impacts (s).')
+    ] = 4.0,
     preset: Annotated[
         Literal['easy', 'paper_like', 'hard', 'varied'],
         typer.Option(help='Difficulty of the simulated sensor.'),
