@@ -312,11 +312,9 @@ def slip(
             'publish_clock': True,
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
-        if not press:
-            reach['grip_margin'] = 1.0
-        supervisor = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
-        if figure is not None:
-            supervisor['figure'] = str(figure.absolute())
+        grip = {} if press else {'grip_margin': 1.0}
+        knocks = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
+        drawn = {} if figure is None else {'figure': str(figure.absolute())}
         # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
             f'virtual:{socket}',
@@ -325,9 +323,9 @@ def slip(
         )
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),
-            slip_control({'arm': 'fr3', **reach, **simulated}),
+            slip_control({'arm': 'fr3', **reach, **grip, **simulated}),
             node('mixtac_sim', 'virtual_arm', overrides=simulated),
-            node('mixtac', 'supervisor', overrides=supervisor),
+            node('mixtac', 'supervisor', overrides={**knocks, **drawn}),
             fger,
             driver,
         ]
