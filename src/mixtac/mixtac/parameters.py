@@ -40,6 +40,8 @@ class SupervisorParameters:
     Attributes:
         knock_every: Simulation only: smallest time between impacts on the object while slip control
             is enabled; 0 for no impacts.
+        figure: File for a figure of the latest impact; empty for none.
     """
 
-    knock_every: float = fixed(8.0, unit='s', within=(0.0, 3600.0))
+    knock_every: float = fixed(4.0, unit='s', within=(0.0, 3600.0))
+    figure: str = fixed('')

@@ -7,16 +7,21 @@ All times are on the node's clock, which is that of the simulation if `use_sim_t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections import deque
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
+from pathlib import Path
 from typing import Final
 
-from geometry_msgs.msg import PointStamped
+import numpy as np
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.node import Node
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
+from mixtac.figures import FORCE, REFERENCE, new_axes, save_figure
 from mixtac.parameters import SupervisorParameters
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, declare, run
@@ -27,12 +32,16 @@ REQUEST_PERIOD_S: Final = 0.3
 """Time between two requests to slip control or to the simulation [s]."""
 GRIP_S: Final = 1.6
 """Time in which the object is gripped anew after it was put back [s]."""
-STEADY_S: Final = 1.0
-"""Slip control is enabled for this time before an impact, so that it has settled [s]."""
-REARM_S: Final = 2.0
+STEADY_S: Final = 0.8
+"""Slip control is enabled for this time before an impact, so that it has pressed [s]."""
+REARM_S: Final = 0.5
 """Time from an impact until its result is reported [s]."""
-
-
+MOVED_MM: Final = 5e-3
+"""An object that moved less is at rest [mm]."""
+RISE_N: Final = 0.02
+"""Least rise of the force by an answer [N]."""
+SHOWN_MS: Final = (-50.0, 200.0)
+"""Range of the figure [ms]."""
 FALLEN_MM: Final = 5.0
 """An object that moves farther is lost [mm]: the contact of the fingertip is 12 mm wide."""
 
@@ -49,36 +58,64 @@ class Phase(Enum):
 
 @dataclass
 class Impact:
-    """One impact and its result.
+    """One impact and its result, by stamps of the simulation.
 
     Attributes:
-        start_mm: How far down the object was before [mm].
-        moved_mm: Largest downward displacement of the object since then [mm].
-        advance_mm: Largest advance of the arm that slip control asked for [mm].
+        grasp_n: True normal force before the press [N].
+        places: Times and places of the object, downwards, from before the impact on [s, mm].
+        forces: Times and true normal forces, from before the impact on [s, N].
         detected: Whether slip was detected.
         stopped: Why slip control stopped; empty if it did not.
     """
 
-    start_mm: float
-    moved_mm: float = 0.0
-    advance_mm: float = 0.0
+    grasp_n: float
+    places: list[tuple[float, float]]
+    forces: list[tuple[float, float]] = field(default_factory=list)
     detected: bool = False
     stopped: str = ''
 
     @property
     def held(self) -> bool:
         """Whether the object was held."""
-        return self.moved_mm <= FALLEN_MM
+        return max(mm for _, mm in self.places) <= self.places[0][1] + FALLEN_MM
+
+    @property
+    def start_s(self) -> float:
+        """Time of the last sample before the object moved [s]."""
+        t, mm = np.transpose(self.places)
+        return float(t[max(np.argmax(mm > mm[0] + MOVED_MM) - 1, 0)])
 
     def __str__(self) -> str:
         """Return the result as text."""
+        t, mm = np.transpose(self.places)
+        force_t, force = np.transpose([*self.forces, (np.inf, np.inf)])
+        before = force[np.searchsorted(force_t, self.start_s)] + RISE_N
+        rises = force_t[(force_t > self.start_s) & (force > before)]
+        rise_s = np.min(rises, initial=np.inf) - self.start_s
+        rest_s = t[np.argmax(mm > mm.max() - MOVED_MM)] - self.start_s
+        how = ', before the force rose: held by the force at the impact'
+        if rise_s < rest_s:
+            how = f'; the force rose from {1e3 * rise_s:.0f} ms on: held by the answer'
+        end = f'the object moved {mm.max() - mm[0]:.2f} mm, at rest after {1e3 * rest_s:.0f} ms'
+        end = end + how if self.held else f'THE OBJECT FELL (more than {FALLEN_MM:g} mm down)'
         seen = 'detected' if self.detected else 'not detected'
-        end = f'the object moved {self.moved_mm:.2f} mm and is held'
-        if not self.held:
-            end = f'THE OBJECT FELL (more than {FALLEN_MM:g} mm down)'
         stop = f', slip control stopped: {self.stopped}' if self.stopped else ''
-        advance = f'the arm advanced {self.advance_mm:.2f} mm'
-        return f'impact {seen}: {end}, {advance}{stop} (simulated)'
+        return f'impact {seen}: {end}{stop} (simulated)'
+
+    def draw(self, path: Path) -> None:
+        """Draw force, margin and place of the object around the impact."""
+        figure, (top, bottom) = new_axes(1, 2, height=5.0)
+        for axis, course, colour in ((top, self.forces, FORCE), (bottom, self.places, REFERENCE)):
+            t, y = np.transpose(course)
+            axis.plot(1e3 * (t - self.start_s), y, color=colour)
+            axis.set_xlim(*SHOWN_MS)
+        ratio = top.twinx()
+        ratio.set_ylim(*(n / self.grasp_n for n in top.get_ylim()))
+        ratio.set_ylabel('over the force of the grasp')
+        top.set_title(str(self), fontsize=8)
+        top.set_ylabel('true normal force [N]')
+        bottom.set(xlabel='time from the first motion [ms]', ylabel='object, downwards [mm]')
+        save_figure(figure, path)
 
 
 class Supervisor(BaseNode, Node):  # type: ignore[misc]
@@ -92,7 +129,9 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._settings = declare(self, SupervisorParameters)
         self._slip = SlipState(state=SlipState.DISABLED)
         self._impacts: list[Impact] = []
-        self._place_mm = 0.0
+        self._forces: deque[tuple[float, float]] = deque(maxlen=1000)
+        self._place = (0.0, 0.0)
+        self._grasp_n = math.nan
         self._since_s = self._requested_s = self._struck_s = 0.0
         self._heartbeat = self.create_publisher(Empty, 'slip_control/heartbeat', QOS_SENSOR)
         self._enable = self.create_client(SetBool, 'slip_control/enable')
@@ -104,6 +143,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.subscribe_topic(topics.SLIP, self._on_slip)
         self.subscribe_topic(topics.TRUTH_OBJECT, self._on_place)
+        self.subscribe_topic(topics.TRUTH_WRENCH, self._on_force)
         self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
 
     def close(self) -> None:
@@ -121,10 +161,13 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self.get_logger().info(phase.value)
 
     def _on_place(self, message: PointStamped) -> None:
-        self._place_mm = -1e3 * message.point.y
+        self._place = 1e-9 * topics.stamp_to_ns(message.header.stamp), -1e3 * message.point.y
         if self._phase is Phase.IMPACT:
-            impact = self._impacts[-1]
-            impact.moved_mm = max(impact.moved_mm, self._place_mm - impact.start_mm)
+            self._impacts[-1].places.append(self._place)
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        stamp_s = 1e-9 * topics.stamp_to_ns(message.header.stamp)
+        self._forces.append((stamp_s, topics.normal_force(message)))
 
     def _on_quality(self, message: ForceQuality) -> None:
         if self._phase is Phase.ZERO and message.valid:
@@ -134,11 +177,11 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._slip = message
         if self._phase is Phase.IMPACT:
             impact = self._impacts[-1]
-            impact.advance_mm = max(impact.advance_mm, 1e3 * message.total_advance)
             impact.detected |= message.slipping
             if message.state == SlipState.STOPPED:
                 impact.stopped = impact.stopped or message.reason
         if self._phase is Phase.ENABLE and message.state == SlipState.ENABLED:
+            self._grasp_n = self._forces[-1][1] if self._forces else math.nan
             self._enter(Phase.HOLD)
 
     def _beat(self) -> None:
@@ -160,24 +203,24 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
             self._enter(Phase.ENABLE)
         elif self._phase is Phase.HOLD and may_request and elapsed_s > STEADY_S:
             if now_s - self._struck_s > every_s > 0.0:
-                self._requested_s = now_s
-                self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
+                self._requested_s = self._struck_s = now_s
+                self._impacts.append(Impact(self._grasp_n, [self._place]))
+                self._knock.call_async(Trigger.Request())
+                self._enter(Phase.IMPACT)
         elif self._phase is Phase.IMPACT and elapsed_s > REARM_S:
-            self.get_logger().info(str(self._impacts[-1]))
+            impact = self._impacts[-1]
+            impact.forces = list(self._forces)
+            self.get_logger().info(str(impact))
             # Start each impact with the same force, so that they can be compared.
             disabled = self._enable.call_async(SetBool.Request(data=False))
             self._phase, self._since_s = Phase.GRIP, now_s
             disabled.add_done_callback(lambda _: self._grip())
+            if self._settings.figure:
+                impact.draw(Path(self._settings.figure))
 
     def _grip(self) -> None:
         self._put_back.call_async(Trigger.Request())
         self._enter(Phase.GRIP)
-
-    def _on_struck(self, _response: object) -> None:
-        """Begin an impact once the simulation has confirmed it."""
-        self._struck_s = self._now_s()
-        self._impacts.append(Impact(self._place_mm))
-        self._enter(Phase.IMPACT)
 
 
 main = partial(run, Supervisor)

@@ -278,13 +278,19 @@ def slip(
         ),
     ] = 50.0,
     every: Annotated[
-        float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
-    ] = 8.0,
+        float, typer.Option(min=0.0, max=3600.0, help='Least time between impacts (s).')
+    ] = 4.0,
     preset: Preset = 'paper_like',
     seed: Annotated[
         int,
         typer.Option(min=0, max=9_999_999, help='Random seed for sensor, trial and object.'),
     ] = 1,
+    press: Annotated[
+        bool, typer.Option(help='Press before any slip, or only answer slips.')
+    ] = True,
+    figure: Annotated[
+        OptionalPath, typer.Option(help='Draw force and object around the latest impact.')
+    ] = None,
     seconds: RunTime = 0.0,
 ) -> None:
     """Run the real driver, estimator and slip control on a simulated grasp that is struck."""
@@ -301,10 +307,11 @@ def slip(
             'seed': seed,
             'socket': str(socket),
             'publish_clock': True,
-            'publish_force': False,
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
-        supervisor = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
+        grip = {} if press else {'grip_margin': 1.0}
+        knocks = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
+        drawn = {} if figure is None else {'figure': str(figure.absolute())}
         # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
             f'virtual:{socket}',
@@ -313,9 +320,9 @@ def slip(
         )
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),
-            slip_control({'arm': 'fr3', **reach, **simulated}),
+            slip_control({'arm': 'fr3', **reach, **grip, **simulated}),
             node('mixtac_sim', 'virtual_arm', overrides=simulated),
-            node('mixtac', 'supervisor', overrides=supervisor),
+            node('mixtac', 'supervisor', overrides={**knocks, **drawn}),
             fger,
             driver,
         ]

@@ -4,21 +4,37 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac.supervisor_node import Impact
 
+MS = 1e-3
+
+
+def impact(stop_ms, rise_ms, mm=0.3, **more):
+    """Return an impact at 10 ms: the object stops, and the force rises, at times [ms]."""
+    t = np.arange(0, 400, 2)
+    moved = np.interp(t, (10, stop_ms), (0.0, mm))
+    force = np.where(t < rise_ms, 0.7, 0.9)
+    places, forces = (list(zip(t * MS, y, strict=True)) for y in (moved, force))
+    return Impact(0.55, places, forces, **more)
+
 
 @pytest.mark.parametrize(
-    ('impact', 'held', 'words'),
+    ('found', 'held', 'words'),
     [
-        (Impact(0.5, 1.2, detected=True), True, '1.20 mm'),
-        (Impact(0.5, 50.0), False, 'not detected'),
-        (Impact(0.5, 1.0, stopped='too much force'), True, 'too much force'),
+        (impact(22, 60, detected=True), True, 'at rest after 12 ms, before the force rose'),
+        (impact(60, 32), True, 'the force rose from 22 ms on'),
+        (impact(60, 1000), True, 'before the force rose'),
+        (impact(200, 60, 50.0), False, 'not detected'),
+        (impact(22, 60, stopped='too much force'), True, 'too much force'),
     ],
 )
-def test_an_impact_is_described(impact, held, words):
-    assert impact.held == held
-    assert words in str(impact)
+def test_an_impact_is_described_and_drawn(found, held, words, tmp_path):
+    assert found.held == held
+    assert words in str(found)
+    found.draw(tmp_path / 'impact.png')
+    assert (tmp_path / 'impact.png').exists()

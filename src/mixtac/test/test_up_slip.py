@@ -113,7 +113,7 @@ def witness(ros_domain: dict[str, str], tmp_path) -> Iterator[Witness]:
 
 
 def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: Witness) -> None:
-    witness.wait(lambda: 'the arm advanced' in witness.words())
+    witness.wait(lambda: 'the object moved' in witness.words())
     assert 'impact detected' in witness.words(), witness.words()
     witness.wait(lambda: witness.slipped_while_enabled)
     assert witness.slipped_while_enabled

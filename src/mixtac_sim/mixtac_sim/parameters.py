@@ -70,23 +70,17 @@ class VirtualGraspParameters(VirtualCameraParameters):
         object: Object held by the gripper
         margin: Grasp force over the smallest force that holds the object
         knock: Speed that an impact (~/knock) gives the object
-        knock_every: Time between impacts; 0 for only those that ~/knock asks for
         joint_state_topic: Topic of the arm's joint positions
-        publish_force: Publish the true force on `force`, on the clock of the camera. Where an
-            estimator does, set it to false: the fingertip then touches nothing until the first
-            ~/put_back, for the zero
         publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, and let it
-            wait for the answers on `slip`, and on `force_quality` where an estimator publishes the
-            force, so that a slow host slows down all nodes alike
+            wait for the answers on `slip` and `force_quality`, so that a slow host slows down all
+            nodes alike
     """
 
     preset: str = fixed('paper_like', choices=tuple(PRESETS))
     object: str = fixed('box', choices=('box', 'cup', 'ball'))
     margin: float = fixed(1.05, within=(1.0, 5.0))
     knock: float = parameter(50.0, unit='mm/s', within=(0.0, 500.0))
-    knock_every: float = parameter(0.0, unit='s', within=(0.0, 3600.0))
     joint_state_topic: str = fixed('/joint_states')
-    publish_force: bool = fixed(True)
     publish_clock: bool = fixed(False)
 
 

@@ -50,9 +50,8 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
-    ``truth/wrench``, ``truth/object`` (its position, y upwards in m), and with ``publish_force``
-    ``force``, on the clock of the camera; without it the fingertip touches nothing until the first
-    ``~/put_back``.
+    ``truth/wrench`` and ``truth/object`` (its position, y upwards in m). The fingertip touches
+    nothing until the first ``~/put_back``.
     """
 
     def __init__(self) -> None:
@@ -63,7 +62,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         check_free(path)
         self._start_m: np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None = None
         self._stop = Event()
-        self._knocks, self._next_knock_s = 0, settings.knock_every
+        self._knocks = 0
         self._slip_pace, self._arm_pace = AnswerPace(SLIP_AHEAD_US), AnswerPace(ARM_AHEAD_US)
         self._force_pace = AnswerPace(ARM_AHEAD_US)
         paces = (self._slip_pace, self._arm_pace, self._force_pace)
@@ -74,7 +73,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
                 settings.object, stream(settings.seed, 'virtual grasp'), margin=settings.margin
             ),
             *(settings.device_seed, settings.seed, level, self._time),
-            open_first=not settings.publish_force,
+            open_first=True,
         )
         self._sensor = make_virtual_sensor(
             device_seed=settings.device_seed,
@@ -96,15 +95,13 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._truth = self.publish_topic(topics.TRUTH_WRENCH)
         self._wrenches = topics.WrenchWriter(topics.CONTACT_FRAME)
         self._place = self.publish_topic(topics.TRUTH_OBJECT)
-        self._force = self.publish_topic(topics.FORCE) if settings.publish_force else None
         self._clock_topic = None
         if settings.publish_clock:
             self._clock_topic = self.create_publisher(Clock, '/clock', 1)
             # Serialised: only the stamp matters, a thousand times a second.
             self.subscribe_topic(topics.SLIP, partial(self._on_answer, self._slip_pace), raw=True)
-            if not settings.publish_force:
-                answer = partial(self._on_answer, self._force_pace)
-                self.subscribe_topic(topics.FORCE_QUALITY, answer, raw=True)
+            answer = partial(self._on_answer, self._force_pace)
+            self.subscribe_topic(topics.FORCE_QUALITY, answer, raw=True)
         self.create_subscription(
             JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
         )
@@ -120,11 +117,6 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
 
     def _change(self, settings: VirtualGraspParameters) -> None:
         self._settings = settings
-        self._next_knock_s = self._now_s() + settings.knock_every
-
-    def _now_s(self) -> float:
-        """Return simulated time since the start [s]."""
-        return 1e-6 * self._time.now_us()
 
     def _on_answer(self, pace: AnswerPace, message: bytes) -> None:
         # The camera's clock drifts away from simulated time.
@@ -142,12 +134,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
             self._start_m = place
         self._grasp.move(1e3 * float((place - self._start_m) @ SIDEWAYS))
 
-    def _strike(self) -> None:
+    def _on_knock(self, _request: Trigger.Request) -> str:
         self._grasp.strike(self._settings.knock)
         self._knocks += 1
-
-    def _on_knock(self, _request: Trigger.Request) -> str:
-        self._strike()
         return f'{self._settings.knock:g} mm/s'
 
     def _on_put_back(self, _request: Trigger.Request) -> str:
@@ -163,22 +152,12 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
                 self._publish_truth(batch)
-            now_s, every = self._now_s(), self._settings.knock_every
-            if every > 0.0 and now_s >= self._next_knock_s:
-                self._next_knock_s = now_s + every
-                self._strike()
 
     def _publish_truth(self, batch: WrenchSamples) -> None:
         publish_wrenches(self._truth, batch, self._wrenches)
         if len(batch.t_ns):
-            stamp_ns, wrench = int(batch.t_ns[-1]), batch.wrench[-1].tolist()
-            if self._force is not None:
-                # As of an estimator: on the clock of the camera.
-                true_us = (stamp_ns - self._time.start_epoch_ns) // 1000
-                camera_ns = 1000 * self._sensor.device.stamp_us(true_us)
-                self._force.publish(self._wrenches.serialised(camera_ns, wrench))
             place = PointStamped()
-            place.header.stamp = ns_to_stamp(stamp_ns)
+            place.header.stamp = ns_to_stamp(int(batch.t_ns[-1]))
             place.header.frame_id = topics.CONTACT_FRAME
             place.point.y = -1e-3 * self._grasp.object_mm
             self._place.publish(place)
