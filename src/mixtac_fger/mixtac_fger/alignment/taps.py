@@ -142,7 +142,7 @@ def brightening(values: NDArray[np.float32], depth: F64) -> F64:
 def common_course(events: CellEvents, at_us: int, cells: int) -> F64:
     """Return weights under which the cells' signed events of a tap have most in common.
 
-    The first singular vector of events over cells and time, which takes no frames; of either sign.
+    They are the first singular vector of events over cells and time, of either sign.
 
     Args:
         events: Events, camera clock.

@@ -380,7 +380,7 @@ def has_across(groups: DiskGroups) -> bool:
 
 @torch.no_grad()
 def calibrate_shear(network: FgerNetwork, groups: DiskGroups) -> None:
-    """Set floor and shares of the deviations of sideways force and torsion (`ShearHead`).
+    """Fit the deviations of sideways force and torsion: floor and shares of `ShearHead`.
 
     Args:
         network: With the head.

@@ -87,14 +87,14 @@ def read_forces(
 ) -> tuple[ForceLabel | None, ForceLabel | None, ForceLabel | None]:
     """Return the true and the measured normal force of a bag on the camera clock.
 
-    Beside them the true force across the normal. The true ones are None where the bag has none; the
-    measured one where it has none or no clock map to place it. A fit beside the bag is preferred to
-    one inside, and a made one to a simulated bag's true one.
+    The third value is the true force across the normal. A force is None if the bag does not have
+    it, and the measured one also without a clock fit. A fit beside the bag is preferred to one
+    inside, and a computed fit to the true one of a simulated bag.
 
     Args:
         path: The bag.
         reference: Topic of the reference force.
-        incomplete: Take what is whole of a bag that was cut off.
+        incomplete: Read the intact part of a bag that was cut off.
 
     Raises:
         RecordingError: The bag is damaged.
@@ -148,7 +148,7 @@ class BagSource:
         path: Its folder.
         reference: Topic of the reference force.
         described: Facts from a description of the bag: profile, device_seed and so on.
-        incomplete: Take what is whole of a bag that was cut off.
+        incomplete: Read the intact part of a bag that was cut off.
         shown: Name of the trial; empty for that of the folder.
     """
 
