@@ -25,13 +25,7 @@ from rich.live import Live
 
 from mixtac.figures import make_table
 from mixtac.options import Namespace, OptionalPath, ParamsFile, Preset, RunTime
-from mixtac_core.node.graph import (
-    NodeSpec,
-    is_virtual,
-    node,
-    sensor_graph,
-    slip_control,
-)
+from mixtac_core.node.graph import NodeSpec, is_virtual, node, sensor_graph, slip_control
 from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
 from mixtac_core.recordings.camera_stream import open_recording
@@ -127,10 +121,7 @@ def up(
 
     play = play and is_virtual(device)
     nodes = sensor_graph(
-        device,
-        estimator=estimator,
-        virtual_sensor={'loop': True} if play else None,
-        view=view,
+        device, estimator=estimator, virtual_sensor={'loop': True} if play else None, view=view
     )
     with ProcessGroup() as processes:
         if record is not None:
@@ -174,10 +165,7 @@ def check_choice(device: str, model: str, params_file: Path | None) -> dict[str,
     Raises:
         MixtacError: Unknown device, no such recording, or no such model.
     """
-    from mixtac_driver.supervisor import (  # numba: --help need not wait for it
-        SourceKind,
-        source_kind,
-    )
+    from mixtac_driver.supervisor import SourceKind, source_kind  # numba: slow to import
     from mixtac_fger.weights import find_model, read_model
 
     if source_kind(device) is SourceKind.RECORDED and params_file is None:
