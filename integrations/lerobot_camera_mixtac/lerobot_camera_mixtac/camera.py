@@ -23,7 +23,7 @@ from mixtac import Picture, Sensor, SensorError
 from mixtac_driver.device import attached_cameras
 
 GREY = 128
-START_MS = 60_000
+START_MS = 300_000
 """Longest time to the first picture [ms]."""
 
 

@@ -122,7 +122,7 @@ def calibrate_force(
         from mixtac.monitor_node import Monitor
 
         prompt = 'Press until the scale shows {:g} g' if scale else 'Put {:g} g on'
-        console.print('starting the sensor; a first start compiles for some minutes')
+        console.print('starting the sensor; a first start compiles for a minute')
         with ProcessGroup() as processes, Monitor(namespace, processes, SESSION_S) as monitor:
             start_nodes(processes, measured_sensor(device, start), namespace, params_file, 'warn')
             monitor.listen(reference)

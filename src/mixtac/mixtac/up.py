@@ -115,6 +115,8 @@ def up(
         return
     estimator = check_choice(device, model, params_file)
     if importlib.util.find_spec('rclpy') is None:
+        if record or view or params_file:
+            raise typer.BadParameter('--record, --view and --params-file need ROS 2: `make setup`')
         show_without_ros(device, model, seconds)
         return
     from mixtac.monitor_node import Monitor

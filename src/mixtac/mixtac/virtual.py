@@ -49,7 +49,7 @@ class VirtualProcess:
             ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
         print(
-            'starting a virtual sensor; a first start compiles for half a minute', file=sys.stderr
+            'starting a virtual sensor; a first start compiles for a minute', file=sys.stderr
         )
         assert self._process.stdout is not None  # noqa: S101  (always piped)
         # Libraries may print lines before the answer.

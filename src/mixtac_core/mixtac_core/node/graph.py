@@ -174,7 +174,7 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
     """Return the slip control node.
 
     Args:
-        overrides: Parameters, such as `arm` and `detector`.
+        overrides: Parameters, such as `arm` and `law`.
     """
     return node('mixtac_slip_control', 'slip_control', required=True, overrides=overrides)
 

@@ -63,7 +63,7 @@ class DatasetDescription:
         preset: Strength of the simulated effects.
         split_by: `trial` or `device`.
         trials: Its trials; each has a bag of its name beside the file.
-        generator: Package, version and digest of the simulator.
+        generator: Package and digest of the simulator.
         complete: Whether all bags have been written.
     """
 

@@ -41,7 +41,7 @@ class Lens:
     """A thin lens with radial distortion that looks through air at the mesh side of the layer.
 
     Attributes:
-        focal_mm: Focal length [mm]; 2.8 in the paper.
+        focal_mm: Focal length [mm] (estimate).
         f_number: Focal length over aperture; not stated, 1.8 to 2.8 (estimate).
         gap_mm: From the lens to the mesh side of the layer [mm] (estimate).
         thickness_mm: Thickness of the layer [mm].
