@@ -31,7 +31,7 @@ from setup_steps import NO_SPACE, ROOT, SetupError, Steps, call, fingerprint, pr
 
 BEGUN = 'installing'
 """Step in the record that stands there while packages are being installed."""
-EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4', 'site')
+EXTRAS = ('learn', 'dev', 'view', 'hdf5', 'aedat4', 'site', 'notebooks')
 PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
 ROBOT_PACKAGES = (
     'mixtac_msgs',
@@ -321,11 +321,11 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
     steps = Steps(venv / 'mixtac-setup.json')
     started = time.monotonic()
     if not steps.is_done('venv', str(ROOT)) or steps.is_done(BEGUN, 'yes'):
-        check_system()
         if (venv / 'mixtac-setup.json').exists():
             say(f'{venv.name} was made elsewhere, or not finished: making it anew')
             shutil.rmtree(venv)
             steps = Steps(venv / 'mixtac-setup.json')
+        check_system()
         make_venv(venv, system_packages=bool(distro))
         steps.finish('venv', str(ROOT))
     install(venv, steps, extras, robot=robot, ros=bool(distro))

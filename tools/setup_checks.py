@@ -17,7 +17,7 @@ from setup_steps import ROOT, SetupError
 SUPPORTED_PYTHON = ((3, 10), (3, 13))
 SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
 NEEDED_MB = 1200
-"""What an environment takes on the disk [MB]."""
+"""What an environment without optional parts takes on the disk [MB]."""
 LINKS = ('src/mixtac_bringup/config', 'src/mixtac_bringup/launch', 'src/mixtac_fger/models')
 """Symbolic links of the sources."""
 

@@ -23,8 +23,6 @@ from mixtac import Picture, Sensor, SensorError
 from mixtac_driver.device import attached_cameras
 
 GREY = 128
-START_MS = 300_000
-"""Longest time to the first picture [ms]."""
 
 
 @CameraConfig.register_subclass('mixtac')
@@ -96,7 +94,7 @@ class MixtacCamera(Camera):
         self.sensor.open()
         if warmup:
             try:
-                self._image(self.sensor.pictures.read(START_MS))
+                self._image(self.sensor.pictures.read())
             except BaseException:
                 self.sensor.close()
                 raise
@@ -133,6 +131,7 @@ class MixtacCamera(Camera):
             measured, the others are 0. z is NaN while the force is withheld.
 
         Raises:
+            NoReadingError: There is none yet.
             TimeoutError: It is older.
         """
         self._check()

@@ -129,7 +129,7 @@ def live_images(topic: str, device: str) -> Images:
     newest: deque[Any] = deque(maxlen=1)
     with ProcessGroup() as processes, CommandNode.opened('calibrate', DEFAULT_NAMESPACE) as node:
         latest = replace(IMAGE_RAW, depth=1)
-        node.subscribe_topic(latest, lambda image: newest.append(image), name=topic)  # noqa: PLW0108  (rclpy inspects it)
+        node.subscribe_topic(latest, newest.append, name=topic)
         if device:
             nodes = [each for each in sensor_graph(device) if each.name != 'fger']
             start_nodes(processes, nodes, topic.strip('/').rpartition('/')[0])

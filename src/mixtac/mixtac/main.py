@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
-from threading import Timer
+from threading import Timer, get_ident
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -236,7 +236,7 @@ def noting_interrupt(noted: list[int]) -> Iterator[None]:
         if not frame:
             raise KeyboardInterrupt
         # What is raised while LLVM calls back is lost, or ends the process.
-        Timer(0.05, signal.raise_signal, [number]).start()
+        Timer(0.05, signal.pthread_kill, [get_ident(), number]).start()
 
     handled = signal.getsignal(signal.SIGINT)
     if handled is signal.default_int_handler:

@@ -42,7 +42,7 @@ def check_topic(value: str) -> str:
 
 def _checked_name(value: str, kind: str, valid: bool) -> str:
     if not valid:
-        raise typer.BadParameter(f'{value[:200]!r} is no ROS {kind}: use letters, digits, _, /')
+        raise typer.BadParameter(f'{value[:200]!r}: a ROS {kind} has <= 200 letters, digits, _, /')
     return value
 
 

@@ -124,7 +124,7 @@ class Listener(CommandNode):
         self._began_ns = 0
 
     def listen(self, reference_topic: str) -> None:
-        """Subscribe to all topics.
+        """Subscribe to all topics, except for latched ones: their one message comes after `start`.
 
         Args:
             reference_topic: Topic of the reference force sensor.
@@ -145,7 +145,8 @@ class Listener(CommandNode):
             topic = replace(topic, depth=1 if topic.latched else max(DEPTH, topic.depth))
             meter = TopicMeter(topic)
             self.meters.append(meter)
-            self.subscribe_topic(topic, partial(self._on_message, meter), raw=True)
+            if not topic.latched:
+                self.subscribe_topic(topic, partial(self._on_message, meter), raw=True)
         self.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
 
     def start(self, output: Path) -> None:
@@ -161,6 +162,8 @@ class Listener(CommandNode):
             self._connections[meter.topic.name] = self.writer.add_topic(
                 name, kind, latched=meter.topic.latched
             )
+            if meter.topic.latched:
+                self.subscribe_topic(meter.topic, partial(self._on_message, meter), raw=True)
         self._began_ns = time.time_ns()
 
     def finish(self) -> dict[str, Any]:

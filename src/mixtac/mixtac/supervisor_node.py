@@ -128,7 +128,8 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         super().__init__('supervisor')
         self._settings = declare(self, SupervisorParameters)
         self._slip = SlipState(state=SlipState.DISABLED)
-        self._impacts: list[Impact] = []
+        self._impact: Impact
+        self._held: list[bool] = []
         self._forces: deque[tuple[float, float]] = deque(maxlen=1000)
         self._place = (0.0, 0.0)
         self._grasp_n = math.nan
@@ -150,8 +151,8 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         """Disable slip control, and log how many impacts were held."""
         # Without a heartbeat it would stop with an error.
         self._enable.call_async(SetBool.Request(data=False))
-        held = sum(each.held for each in self._impacts)
-        self.get_logger().info(f'{held} of {len(self._impacts)} impacts held (simulated)')
+        held, number = sum(self._held), len(self._held)
+        self.get_logger().info(f'{held} of {number} impacts held (simulated)')
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -163,7 +164,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
     def _on_place(self, message: PointStamped) -> None:
         self._place = 1e-9 * topics.stamp_to_ns(message.header.stamp), -1e3 * message.point.y
         if self._phase is Phase.IMPACT:
-            self._impacts[-1].places.append(self._place)
+            self._impact.places.append(self._place)
 
     def _on_force(self, message: WrenchStamped) -> None:
         stamp_s = 1e-9 * topics.stamp_to_ns(message.header.stamp)
@@ -176,7 +177,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
     def _on_slip(self, message: SlipState) -> None:
         self._slip = message
         if self._phase is Phase.IMPACT:
-            impact = self._impacts[-1]
+            impact = self._impact
             impact.detected |= message.slipping
             if message.state == SlipState.STOPPED:
                 impact.stopped = impact.stopped or message.reason
@@ -204,12 +205,13 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         elif self._phase is Phase.HOLD and may_request and elapsed_s > STEADY_S:
             if now_s - self._struck_s > every_s > 0.0:
                 self._requested_s = self._struck_s = now_s
-                self._impacts.append(Impact(self._grasp_n, [self._place]))
+                self._impact = Impact(self._grasp_n, [self._place])
                 self._knock.call_async(Trigger.Request())
                 self._enter(Phase.IMPACT)
         elif self._phase is Phase.IMPACT and elapsed_s > REARM_S:
-            impact = self._impacts[-1]
+            impact = self._impact
             impact.forces = list(self._forces)
+            self._held.append(impact.held)
             self.get_logger().info(str(impact))
             # Start each impact with the same force, so that they can be compared.
             disabled = self._enable.call_async(SetBool.Request(data=False))

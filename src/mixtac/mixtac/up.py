@@ -268,7 +268,7 @@ def slip(
         ),
     ] = 50.0,
     every: Annotated[
-        float, typer.Option(min=0.0, max=3600.0, help='Least time between impacts (s).')
+        float, typer.Option(min=0.0, max=3600.0, help='Least time between impacts (s); 0 for none.')
     ] = 4.0,
     preset: Preset = 'paper_like',
     seed: Annotated[
@@ -304,9 +304,7 @@ def slip(
         drawn = {} if figure is None else {'figure': str(figure.absolute())}
         # The contact is not needed, and costs as much as the force.
         *_, driver, fger = sensor_graph(
-            f'virtual:{socket}',
-            estimator={'autostart': True, 'contact': False},
-            simulated_time=True,
+            f'virtual:{socket}', estimator={'contact': False}, simulated_time=True
         )
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),

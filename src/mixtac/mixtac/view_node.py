@@ -360,7 +360,7 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             **dict(sorted(self._nodes.items())),
         }
         table = '\n'.join(f'| {name} | {text} |' for name, text in rows.items())
-        # Less 0.004 N is not shown as -0.00.
+        # A force that rounds to zero has no sign.
         return f'# {round(self._latest_n["estimate"], 2) + 0.0:.2f} N\n\n| | |\n|---|---|\n{table}'
 
     def _status(self) -> Status:

@@ -48,9 +48,7 @@ class VirtualProcess:
         self._process = subprocess.Popen(
             ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
-        print(
-            'starting a virtual sensor; a first start compiles for a minute', file=sys.stderr
-        )
+        print('starting a virtual sensor; a first start compiles for a minute', file=sys.stderr)
         assert self._process.stdout is not None  # noqa: S101  (always piped)
         # Libraries may print lines before the answer.
         answer = next((line for line in self._process.stdout if line.startswith(b'{')), b'{}')

@@ -15,7 +15,7 @@ goes through the origin, because the zero is known:
     g = sum(w_i F_i e_i) / sum(w_i e_i^2),    w_i = 1 / Var r_i,
     sd(g)^2 = max(1, chi^2 / (n - 1)) / sum(w_i e_i^2),    chi^2 = sum(w_i r_i^2).
 
-The sideways force is calibrated in the same way, by masses on a thread that pull the pressing
+The sideways force is calibrated in the same way, by masses on a string that pull the pressing
 object sideways. Its series is complex (x is real, y imaginary, in the contact frame), and e_i is
 the size of the change. The gain is valid at the place and the normal force of these pulls;
 `sideways_gain` returns the gain to expect elsewhere.

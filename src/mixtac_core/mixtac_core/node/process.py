@@ -193,14 +193,14 @@ class ProcessGroup:
     def _forward(self, name: str, lines: Iterable[str], sink: IO[str]) -> None:
         """Forward the output of a process and remember its last error.
 
-        On stderr the error line with which it ends is left out: `check` reports it.
+        On stderr the error line with which it ends is left out if `check` reports it.
         """
         shared = sink is sys.stderr
         for line in lines:
             fatal, logged = fatal_text(line), _LOGGED.match(line)
             if fatal or logged:
                 self._errors[name] = fatal or logged['text'].strip()  # type: ignore[index]
-            if not (fatal and shared):
+            if not (fatal and shared and name in self._processes):
                 print(f'[{name}] {line}' if shared else line, end='', file=sink, flush=True)
         if not shared:
             sink.close()
@@ -237,12 +237,12 @@ class ProcessGroup:
             Exit status by name.
         """
         chosen = [each for each in reversed(self._processes) if name in (None, each)]
-        for each in chosen:
-            self._processes[each].terminate()
+        ending = {each: self._processes.pop(each) for each in chosen}
+        for process in ending.values():
+            process.terminate()
         deadline = time.monotonic() + STOP_GRACE_S
         codes = {}
-        for each in chosen:
-            process = self._processes.pop(each)
+        for each, process in ending.items():
             try:
                 process.wait(max(0.1, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:

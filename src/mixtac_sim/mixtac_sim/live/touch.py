@@ -73,7 +73,7 @@ def press(
 
 
 def pull(tool: Indenter, force_n: tuple[float, float], pull_n: Pulled, hold_s: float) -> Profile:
-    """Return a press that a force pulls aside, as a weight on a thread would; then it is let go.
+    """Return a press that a force pulls aside, as a weight on a string would; then it is let go.
 
     Args:
         tool: The object.

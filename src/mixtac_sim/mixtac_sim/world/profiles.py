@@ -210,7 +210,7 @@ PULL_WAYS = ((1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
 
 def pulls(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
-    """Return a weight of 100 g that a mass on a thread pulls aside in four directions."""
+    """Return a weight of 100 g that a mass on a string pulls aside in four directions."""
     press, pull = (1e-3 * GRAVITY * grams for grams in (WEIGHTS_G[-1], PULLED_G))
     now, turn = start_s + 0.05 * span_s, 0.19 * span_s
 

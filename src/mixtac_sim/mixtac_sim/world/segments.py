@@ -65,7 +65,7 @@ class Segment:
             [mm], and turn from right to down [rad]. It stays there afterwards.
         roll: How far the contact rolls over the segment, right and down [mm].
         pull: Force across the normal from the start to the end of the segment, right and down
-            [N], as of a weight on a thread; None where `move` says where the indenter is.
+            [N], as of a weight on a string; None where `move` says where the indenter is.
     """
 
     start_s: float
