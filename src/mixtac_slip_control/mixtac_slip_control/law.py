@@ -61,6 +61,7 @@ class Contact:
         present: Expected force at the advance of the latest measured one [N].
         place: Latest advance without slip at which the force was measured [m].
         seen: Number of forces used.
+        precise: Whether the stiffness was measured well since the latest restart.
     """
 
     def __init__(self) -> None:
@@ -72,7 +73,7 @@ class Contact:
         """Make an advance the new zero, and reset the stiffness."""
         if self.seen:
             self.force = self.at(advance)
-        self.stiffness, self.place = PRIOR, 0.0
+        self.stiffness, self.place, self.precise = PRIOR, 0.0, False
         self._ff, self._fk, self._kk = FORCE_SD**2, 0.0, PRIOR_SD**2
 
     @property
@@ -84,11 +85,6 @@ class Contact:
     def bound(self) -> float:
         """Upper bound of the stiffness [N/m]."""
         return max(min(RESERVE * self.stiffness + SIGMAS * self.deviation, STIFFEST), 1.0)
-
-    @property
-    def precise(self) -> bool:
-        """Whether the stiffness was measured well."""
-        return self.deviation <= PRECISE * self.stiffness
 
     def at(self, advance: float) -> float:
         """Return the expected force [N] at an advance [m]."""
@@ -122,6 +118,7 @@ class Contact:
         self._ff = max(self._ff - by_f**2 / variance, 1e-8)
         self._fk -= by_f * by_k / variance
         self._kk = max(self._kk - by_k**2 / variance, 1.0)
+        self.precise |= self.deviation <= PRECISE * self.stiffness
 
 
 def paper_advance(count: int, threshold: float, gain: float) -> float:

@@ -171,4 +171,4 @@ def test_no_course_of_slips_exceeds_the_force(
         left = left - 1 if left else int(rng.integers(1, 200)) if rng.random() < 0.01 else 0
         grasp.step(slipping=left > 0, count=int(rng.integers(30, 5000)) if left else 30)
         assert 0.0 <= grasp.law.total <= grasp.parameters.max_total
-    assert grasp.peak < grasp.parameters.max_force * 1.02 / 0.92
+    assert grasp.peak * gain < 1.05 * grasp.parameters.usable_force

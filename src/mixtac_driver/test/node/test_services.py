@@ -80,6 +80,7 @@ def rig(monkeypatch, tmp_path):
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.0)
     monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.0)
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
+    monkeypatch.setattr(driver_node, 'MARGIN_S', 60.0)
     parameters = replace(
         DriverParameters(),
         hot_pixels_duration=0.3,

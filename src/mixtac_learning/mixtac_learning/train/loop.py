@@ -54,7 +54,7 @@ class Processes:
         return Processes(dist.get_rank(), world)
 
     def leave(self) -> None:
-        """Leave the group, all at once: a process whose peers are gone may be aborted."""
+        """Leave the group, all at once; after an error, torchrun ends the others."""
         if self.world > 1:
             dist.barrier()
             dist.destroy_process_group()
@@ -68,10 +68,10 @@ class Processes:
         """Return this process's part of a sequence, of nearly equal size.
 
         Raises:
-            TrainingError: It is empty.
+            TrainingError: There are fewer items than processes: all of them refuse alike.
         """
-        if found := list(items[self.rank :: self.world]):
-            return found
+        if len(items) >= self.world:
+            return list(items[self.rank :: self.world])
         trials = f'{len(items)} trials are too few for {self.world} processes'
         raise TrainingError(trials, remedy='start fewer processes, or give more trials')
 

@@ -200,11 +200,11 @@ class FrameStage(PaperStage):
             else:
                 features, labels = self._features(self.samples, found[chosen.numpy()])
             yield self.loss(network.force_of(features), labels)
-        if isinstance(network, FgerPaper):
-            network.begin_at_frames()
 
     def validate(self) -> float | None:
         """Return the mean absolute error at the frames of the trials to validate on [N]."""
+        if isinstance(self.network, FgerPaper):
+            self.network.begin_at_frames()
         if 'frame' not in self.frozen:
             # Constants that follow are some updates late, which features that vary by thousandths
             # of their mean do not bear.

@@ -262,21 +262,19 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
     if folder is None:
         digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
         folder = Path('runs') / f'train_{config.model}_{digest}'
-    try:
-        with Progress(disable=not processes.leads) as progress:
-            bars: dict[str, TaskID] = {}
+    with Progress(disable=not processes.leads) as progress:
+        bars: dict[str, TaskID] = {}
 
-            def show(name: str, done: int, total: int, text: str) -> None:
-                if name not in bars:
-                    bars[name] = progress.add_task(name, total=total)
-                progress.update(bars[name], completed=done, description=text)
+        def show(name: str, done: int, total: int, text: str) -> None:
+            if name not in bars:
+                bars[name] = progress.add_task(name, total=total)
+            progress.update(bars[name], completed=done, description=text)
 
-            trained = train_model(config, folder, jobs=jobs, show=show, processes=processes)
-        if processes.leads:
-            show_skipped(trained.skipped)
-            _judge_and_write(config, trained, json)
-    finally:
-        processes.leave()
+        trained = train_model(config, folder, jobs=jobs, show=show, processes=processes)
+    if processes.leads:
+        show_skipped(trained.skipped)
+        _judge_and_write(config, trained, json)
+    processes.leave()
 
 
 def _judge_and_write(config: RunConfig, trained: Trained, json: Path | None) -> None:

@@ -270,24 +270,24 @@ def test_deviations_of_the_sideways_force_are_those_of_its_errors(config, toy_se
     spread = (law[0] ** 2 + (law[1] * value) ** 2 + (law[2] * moved) ** 2).sqrt()
     known = replace(toy_sequences[0], across=value + spread * torch.randn(value.shape))
     calibrate_shear(network, Groups([known]))
-    floor, share, told = network.shear.deviation.T
-    found = (floor**2 + (share * value) ** 2 + (told * moved) ** 2).sqrt()
+    floor, share, drift = network.shear.deviation.T
+    found = (floor**2 + (share * value) ** 2 + (drift * moved) ** 2).sqrt()
     kept = known.valid
     assert (found[kept] / spread[kept] - 1.0).abs().mean() < 0.05
     torch.testing.assert_close(floor, law[0].expand(3), rtol=0.1, atol=0.0)
 
 
-def test_the_sideways_force_is_not_trained_where_no_trial_tells_it(config, toy_sequences):
+def test_the_sideways_force_is_not_trained_where_no_trial_shows_it(config, toy_sequences):
     shear = replace(config, shear=True)
     brief = TrainingSettings(frame_epochs=1, recurrent_epochs=1, joint_epochs=0, deviation_epochs=1)
     trained, other = toy_sequences
     with pytest.raises(TrainingError):
         train_fger(shear, brief, Groups([trained]))
-    told = replace(
+    shown = replace(
         trained,
         across=0.1 * torch.randn(trained.across.shape),
         frame_across=0.1 * torch.randn(trained.frame_across.shape),
     )
-    # Held out trials that do not tell it give it no deviation of zero.
-    network, _ = train_fger(shear, brief, Groups([told]), Groups([other]))
+    # Held out trials that do not show it give it no deviation of zero.
+    network, _ = train_fger(shear, brief, Groups([shown]), Groups([other]))
     assert (network.shear.deviation[:, 0] > 0.05).all()

@@ -77,7 +77,7 @@ class Conditions:
     def light_at(self, t_us: int) -> float:
         """Return the light over the device's at a time since the start of the trial [us]."""
         drift = self.light_drift_per_s + self.supply_per_s
-        return self.light * (1.0 + drift * 1e-6 * min(t_us, LAMP_WARM_US))
+        return self.light * max(1.0 + drift * 1e-6 * min(t_us, LAMP_WARM_US), 0.1)
 
     def growth_at(self, t_us: int) -> float:
         """Return how much the gel has grown at a time since the start of the trial [us]."""
