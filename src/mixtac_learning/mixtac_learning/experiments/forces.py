@@ -10,13 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_learning.experiments.harness import (
-    Context,
-    Outcome,
-    Row,
-    Value,
-    experiment,
-)
+from mixtac_learning.experiments.harness import Context, Outcome, Row, Value, experiment
 from mixtac_learning.experiments.models import (
     MODELS,
     Estimates,

@@ -31,11 +31,7 @@ from mixtac_learning.judge.estimators import (
 from mixtac_learning.judge.metrics import by_profile, fit_scale, trial_row
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource
-from mixtac_sim.world.plans import (
-    TrialSpec,
-    evaluation_plan,
-    unseen_devices,
-)
+from mixtac_sim.world.plans import TrialSpec, evaluation_plan, unseen_devices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

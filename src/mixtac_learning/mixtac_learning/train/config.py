@@ -58,6 +58,9 @@ class TrainingSettings:
         moments_prior: Weight in the loss of the mean square of what the convolutions add to the
             forces of moments [1/N]; a sensor's gain would otherwise absorb the effect of its
             indenter.
+        convolution_share: Share of what the convolutions tell the normal force, beside their value
+            at rest, that is left after the last stage; 1 for all. On sensors unlike those of the
+            training they add an error. A trained network that is adapted stays as it is.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.
@@ -82,6 +85,7 @@ class TrainingSettings:
     loss_knee_n: float = 0.05
     gain_prior: float = 0.01
     moments_prior: float = 1.0
+    convolution_share: float = 1.0
     mirror: bool = True
     force_weight: float = 0.0
     blow_every: int = 0

@@ -21,11 +21,7 @@ from mixtac_fger.fger_net import checked_config
 from mixtac_fger.weights import Model, ModelCard, find_model, read_model, save_model
 from mixtac_learning.judge.estimators import judge_sources, trial_estimator
 from mixtac_learning.judge.metrics import by_profile
-from mixtac_learning.judge.report import (
-    judge_devices,
-    show_figures,
-    show_skipped,
-)
+from mixtac_learning.judge.report import judge_devices, show_figures, show_skipped
 from mixtac_learning.network import model_of, network_of
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
@@ -39,12 +35,7 @@ from mixtac_learning.trials.bags import TrialSource, bag_sources
 from mixtac_learning.trials.samples import Recipe, fger_recipe, load_sample, prepare
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource, sensor_of
 from mixtac_sim.world import plans as generation
-from mixtac_sim.world.plans import (
-    TRAINING_PROFILES,
-    session_plan,
-    training_plan,
-    unseen_devices,
-)
+from mixtac_sim.world.plans import TRAINING_PROFILES, session_plan, training_plan, unseen_devices
 
 
 def recipe_of(config: RunConfig) -> Recipe:

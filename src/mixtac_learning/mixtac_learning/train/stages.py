@@ -100,6 +100,30 @@ def follow_frames(network: FgerNetwork) -> None:
     output.get_parameter('weight')[0, :2] = torch.tensor([FOLLOWED, -FOLLOWED])
 
 
+@torch.no_grad()
+def share_convolutions(network: FgerNetwork, share: float) -> None:
+    """Leave a share of what the convolutions tell the normal force, in place.
+
+    Every layer of the normal force that reads their features of a frame reads them as
+    rest + share (features - rest). What gives sideways force and torsion stays as it is.
+
+    Args:
+        network: Trained; its forces are moments with corrections by convolutions.
+        share: 1 changes nothing; 0 leaves the features at rest.
+    """
+    frame, config = network.frame, network.config
+    still = frame.mean.new_zeros(1, len(config.frame_channels), *config.frame_shape)
+    rest = torch.relu(frame.project(frame.convolutions(still).flatten()))
+    correction = network.correction.get_submodule('0')
+    readers = [(frame.head, frame.head, 0), (correction, correction, 1)]
+    if config.frame_context:
+        readers.append((network.context, network.increment.get_submodule('0'), 0))
+    for layer, biased, first in readers:
+        weight = layer.get_parameter('weight')[:, first : first + config.frame_size]
+        biased.get_parameter('bias').add_((1.0 - share) * (weight @ rest))
+        weight.mul_(share)
+
+
 IMPACT_N = 3.0
 """A larger force is an impact [N]; presses stay below."""
 WINDOWS_BEFORE = 30
@@ -462,6 +486,9 @@ def train_fger(
     ]
     loop.run(stages)
     network = model.network.eval()
+    if config.reads_flow and start is None:
+        # Not before: the stages would learn it back. A network to start from has been through it.
+        share_convolutions(network, settings.convolution_share)
     if config.deviation_size:
         # Errors of trials that were trained on are too small to calibrate by.
         calibrate_deviation(network, collect(network, checked or groups))

@@ -37,6 +37,7 @@ from mixtac_learning.train.stages import (
     estimate,
     follow_frames,
     impacts,
+    share_convolutions,
     shear_course,
     train_fger,
 )
@@ -167,6 +168,39 @@ def test_frames_begin_with_the_forces_of_their_moments(config, trial):
         assert beside_moments(network, features) == 0.0
         network.frame.head.bias += 3.0
         torch.testing.assert_close(beside_moments(network, features), torch.tensor(3.0))
+
+
+def test_a_share_of_the_convolutions_is_left(config):
+    torch.manual_seed(1)
+    network = FgerNetwork(replace(config, shear=True))
+    trained = {name: value.clone() for name, value in network.state_dict().items()}
+    frames = torch.randn(6, len(config.frame_channels), *config.frame_shape)
+    frames[0] = 0.0
+    features = network.frame(frames, torch.zeros(6, 9))
+    found = {}
+    for share in (1.0, 0.5, 0.0):
+        network.load_state_dict(trained)
+        share_convolutions(network, share)
+        changed = {n for n, value in network.state_dict().items() if not value.equal(trained[n])}
+        assert not [n for n in changed if n.startswith(('frame.conv', 'frame.project', 'shear.'))]
+        told = network.correction[0](torch.cat([torch.ones(6, 1), features], dim=1))
+        event = network.increment[0].bias + network.context(features)
+        found[share] = torch.cat([network.frame.force(features)[:, None], told, event], dim=1)
+    torch.testing.assert_close(found[0.5], (found[1.0] + found[0.0]) / 2.0)
+    torch.testing.assert_close(found[0.0], found[1.0][:1].expand(6, -1))
+    assert changed
+    assert (found[1.0] - found[0.5]).abs().max() > 1e-3
+
+
+def test_the_convolutions_are_scaled_at_the_end_of_a_training_only(config, toy_sequences):
+    none = {f'{stage}_epochs': 0 for stage in ('frame', 'recurrent', 'joint', 'deviation')}
+    settings, groups = TrainingSettings(**none, convolution_share=0.0), Groups([toy_sequences[1]])
+    fresh, _ = train_fger(config, settings, groups)
+    assert not fresh.frame.head.weight[:, : config.frame_size].any()
+    start = FgerNetwork(config)
+    kept = start.frame.head.weight.clone()
+    adapted, _ = train_fger(config, settings, groups, start=start)
+    assert adapted.frame.head.weight.equal(kept)
 
 
 STATE = 8
