@@ -58,8 +58,8 @@ class TrainingSettings:
         moments_prior: Weight in the loss of the mean square of what the convolutions add to the
             forces of moments [1/N]; a sensor's gain would otherwise absorb the effect of its
             indenter.
-        convolution_share: Share of what the convolutions tell the normal force, beside their value
-            at rest, that is left after the last stage; 1 for all. On sensors unlike those of the
+        convolution_share: Share of the convolutions' features, less their value at rest, that the
+            normal force keeps after the last stage; 1 for all. On sensors unlike those of the
             training they add an error. A trained network that is adapted stays as it is.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are

@@ -102,7 +102,7 @@ def follow_frames(network: FgerNetwork) -> None:
 
 @torch.no_grad()
 def share_convolutions(network: FgerNetwork, share: float) -> None:
-    """Leave a share of what the convolutions tell the normal force, in place.
+    """Keep a share of the convolutions' features in the normal force, in place.
 
     Every layer of the normal force that reads their features of a frame reads them as
     rest + share (features - rest). What gives sideways force and torsion stays as it is.
