@@ -74,6 +74,7 @@ def test_a_correction_learns_the_force_of_the_frame(samples):
     network = build(config('fger'))
     chosen = stage(FrameStage, 'frames', network, samples)
     learn(chosen, torch.optim.AdamW(chosen.parameters(), 1e-2, weight_decay=0.1))
+    chosen.validate()
     features = torch.randn(5, network.config.channels, generator=torch.Generator().manual_seed(1))
     alone = network.corrected(torch.zeros(5), features)
     assert alone.std() > 0.0

@@ -44,13 +44,12 @@ def test_events_of_one_row_and_time_share_a_row_word():
     assert device.register(DVS, 84) == 4
 
 
-@pytest.mark.parametrize('power_up', [VirtualDavis346.plug_in, VirtualDavis346.reset])
-def test_what_is_known_ahead_of_time_comes_after_a_power_up(power_up):
+def test_what_is_known_ahead_of_time_comes_after_a_power_up():
     now_us = [0]
     device = camera(now=now_us)
     device.submit(events_of([(t, 7, 1, True) for t in range(500, 100_000, 1000)]))
     device.advance(30_000)
-    power_up(device)
+    device.plug_in()
     device.advance(60_000)
     now_us[0] = 60_000
     write(device, (MUX, 3, 1), (USB, 0, 1), (MUX, 1, 1), (MUX, 0, 1), (USB, 1, 0), (DVS, 3, 1))
