@@ -11,8 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from usb_oracle import DVS, MUX, USB, camera, decode, drain, events_of, some_frame, write
 
-from mixtac_sim.usb.device import VirtualDavis346
-
 event_rows = st.lists(
     st.tuples(st.integers(0, 200_000), st.integers(0, 345), st.integers(0, 259), st.booleans()),
     max_size=60,
