@@ -9,8 +9,8 @@ sensor, so that its brightness, its contrast and its rates have no effect.
   the displaced reference, less the noise from frame to frame, is a small part of the variance of
   the pattern, or less than half of the change. The gel is bonded at its border, so the picture as a
   whole must not move.
-* **Events.** If the change from one frame to the next, or the events between the two frames, exceed
-  their noise, both must show the same motion: ON events where pixels have become brighter.
+* **Events.** Where the change from one frame to a later one exceeds its noise, the events between
+  the two must show the same motion: ON events where pixels have become brighter.
 
 The noise of a tile is the lower envelope of its mean squares. The mean square of 120 bins of white
 noise has a standard deviation of 13 %. The envelope lies two standard deviations below the mean and
@@ -355,10 +355,10 @@ class Validity:
         moments = np.empty((5, len(noise)))
         tile_moments(contrast - self._anchor, self._way, moments)
         _, _, changed, signs, both = moments
-        # Hot pixels go on and on with one sign.
+        # Hot pixels go on and on with one sign, and nothing moves.
         murmur = self._age**2 * self._murmur
         moved = np.where(changed > SIGNAL * noise, changed - noise, 0.0)
-        fired = np.where(signs > SIGNAL * murmur, signs - murmur, 0.0)
+        fired = np.where((signs > SIGNAL * murmur) & (moved > 0.0), signs - murmur, 0.0)
         # A pixel does not report a change below its threshold.
         used = np.maximum(self._gain**2 * moved, fired) > STRONG**2
         if used.any():
