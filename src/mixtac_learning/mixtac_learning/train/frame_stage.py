@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -355,10 +356,14 @@ class FrameStage(FgerStage):
             return list(self.model.network.frame.head.parameters())
         return [*frame_parameters(self.model.network), self.model.log_gains]
 
-    def updates(self) -> int:
-        """Return the number of updates per epoch."""
+    @cached_property
+    def _updates(self) -> int:
         frames = [len(self.groups.load(index).frame_force) for index in range(len(self.groups))]
         return sum(-(-count // self.settings.frame_batch) for count in frames)
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch; the groups are read for it once."""
+        return self._updates
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch: groups in random order, frames shuffled within each."""
