@@ -3,8 +3,8 @@
 """A camera of LeRobot (`type: mixtac`) whose image is the difference to the untouched sensor.
 
 Grey is no difference. `MixtacCamera.read_wrench` returns the force of the same sensor. LeRobot 0.6
-has no class for tactile sensors yet; `find_sensors`, `connect`, `is_connected` and the shape of the
-wrench are those of its pull request 4469.
+has no class for tactile sensors yet; its pull request 4469 proposes `find_sensors`, `connect`,
+`is_connected` and the shape of the wrench.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class MixtacCamera(Camera):
             measured, the others are 0. z is NaN while the force is withheld.
 
         Raises:
-            NoReadingError: There is none yet.
+            NoReadingError: No force has come yet.
             TimeoutError: It is older.
         """
         self._check()

@@ -343,14 +343,14 @@ class Validity:
         self._path: F32 = np.zeros_like(contrast)
 
     def _judge(self, noise: F64, contrast: F32) -> bool:
-        """Correlate a change since the start with the events, where either is strong.
+        """Correlate a strong change of the frames since the start with the events.
 
         Args:
             noise: Variance of the change in each tile without motion [log units^2].
             contrast: Of the latest frame.
 
         Returns:
-            Whether anything has moved by so much that both must show it.
+            Whether the frames show so much motion that events must show it too.
         """
         moments = np.empty((5, len(noise)))
         tile_moments(contrast - self._anchor, self._way, moments)

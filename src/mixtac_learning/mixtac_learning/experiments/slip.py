@@ -355,7 +355,7 @@ class TrialPlan:
         knock_s: Onset of the knock [s].
         grasp_n: Grasp force for which the object is weighed, to about 5 % [N]; None for the mass
             that is drawn.
-        pulse_s: Duration of the impact [s]; None for that of the falling weight.
+        pulse_s: Duration of the impact [s]; None: as long as a falling weight takes.
     """
 
     name: str = 'box'

@@ -217,7 +217,7 @@ def judge_bags(
 
 
 def _chosen_bags(folders: Sequence[Path], reference: str) -> list[BagSource]:
-    """Return bags that are named themselves, and of folders those of the test split."""
+    """Return the bags that are named, and the bags of the test split in folders."""
     found = [(source, each) for each in folders for source in bag_sources(each, reference)]
     names = distinct_names(source.path for source, _ in found)
     chosen = [

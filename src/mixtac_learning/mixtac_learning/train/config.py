@@ -59,8 +59,8 @@ class TrainingSettings:
             forces of moments [1/N]; a sensor's gain would otherwise absorb the effect of its
             indenter.
         convolution_share: Share of the convolutions' features, less their value at rest, that the
-            normal force keeps after the last stage; 1 for all. On sensors unlike those of the
-            training they add an error. A trained network that is adapted stays as it is.
+            normal force keeps after the last stage; 1 for all. On sensors that differ from the
+            trained ones they add an error. A trained network that is adapted stays as it is.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.

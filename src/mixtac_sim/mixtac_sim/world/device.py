@@ -56,8 +56,8 @@ class Conditions:
         camera_roll_rad: Rotation of the camera [rad].
         exposure: Exposure over 7 ms, unless one is set.
         growth_per_s: How fast the gel grows [1/s].
-        second: Force of a second contact over that of the first; 0 for none.
-        second_mm: Where that is, from the first, right and down [mm].
+        second: Ratio of the forces of a second contact and the first; 0 for one contact.
+        second_mm: Place of the second contact from the first, right and down [mm].
     """
 
     contact_mm: tuple[float, float]

@@ -114,7 +114,7 @@ class OpticsEffects:
     Attributes:
         f_number: f-number; a large one is in focus everywhere.
         wire: Thickness of the mesh's wires over 0.18 mm; 0 for no mesh in view.
-        bend: Distortion over that of a small wide-angle lens.
+        bend: Distortion, relative to a small wide-angle lens.
         even: How much the lamps make up for the darkness of the corners: added to the relative
             change of the light at 10 mm from the axis.
         bead_mm: Diameter of the beads [mm].
@@ -195,7 +195,7 @@ class ContactEffects:
     Attributes:
         place_mm: Largest distance of the contact from the axis, right and down [mm].
         lean: Spread of the shear displacement per depth: the indenter is not quite upright.
-        second: Force of a second contact over that of the first; none where a draw is below 0.
+        second: Ratio of the forces of a second contact and the first; a draw below 0 is none.
         shake_mm: Amplitude of the vibration of the base under a contact [mm].
         friction: Coefficient of friction of a device's skin at 1 N.
         friction_day: Friction over the device's on a day: dust, humidity.
