@@ -48,11 +48,7 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 5
-LOWEST_LOG_DEVIATION = -7.0
-"""Least logarithm of a standard deviation before `deviation.scale` [log N]."""
-HIGHEST_LOG_DEVIATION = 2.0
-"""Largest logarithm of it [log N]."""
+VERSION = 6
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
 """What the frame network can be given; see `FgerConfig.frame_channels`."""
 CELL_FEATURES = 4
@@ -65,8 +61,6 @@ FEWEST_WINDOWS = 10
 """Least of `FgerConfig.history_windows`: what is read around a frame."""
 LARGEST = 1_000_000
 """Largest number of a configuration: a weight file may come from anywhere."""
-CORRECTION_POINTS = ('exposure_centre', 'arrival')
-"""Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
 
 @dataclass(frozen=True)
@@ -113,17 +107,13 @@ class FgerConfig:
             displacement (`mixtac_fger.shear`) are the rest of it, if the frame network is given
             the flow.
         lstm_size: Size of the recurrent state.
-        mlp_size: Hidden width of MLP_df and MLP_corr.
+        mlp_size: Hidden width of MLP_df.
         event_shortcut: Give MLP_df the event feature beside the recurrent state, which is bounded,
             so that an increment is not. Where blows are trained on (`training.blow_every`) it
             makes no difference.
         frame_context: Give MLP_df the feature of the latest frame as well: how much force a motion
             makes depends on the width and the place of the contact, which events do not show.
-        deviation_size: Hidden width of the head that says how uncertain the force is, 0 for none.
-        correction_point: `exposure_centre`: the frame is compared with the estimate at the centre
-            of its exposure and the correction is carried forward to now; `arrival`: with the
-            present estimate, as a literal reading of Algorithm 1 has it (15 % more error).
-        history_windows: How many past estimates are kept for that comparison.
+        history_windows: How many windows the centre of an exposure may lie back.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
         shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.shear`).
@@ -153,8 +143,6 @@ class FgerConfig:
     mlp_size: int = 24
     event_shortcut: bool = True
     frame_context: bool = True
-    deviation_size: int = 16
-    correction_point: str = 'exposure_centre'
     history_windows: int = 64
     force_unit: float = 1.0
     shear: bool = False
@@ -167,20 +155,16 @@ class FgerConfig:
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            least = {'history_windows': FEWEST_WINDOWS, 'deviation_size': 0}.get(field.name)
-            if type(value) not in {int, float}:
-                continue
-            if not (0 < value <= LARGEST if least is None else least <= value <= LARGEST):
+            if type(value) in {int, float} and not 0 < value <= LARGEST:
                 raise ConfigError(
-                    f'FgerConfig.{field.name} = {value}: give {least or "a number above 0"} to'
-                    f' {LARGEST}'
+                    f'FgerConfig.{field.name} = {value}: give a number above 0, up to {LARGEST}'
                 )
         unknown = set(self.frame_channels) - set(FRAME_CHANNELS)
-        point, points, fine = self.correction_point, CORRECTION_POINTS, self.gradient_bin
+        fine, windows = self.gradient_bin, self.history_windows
         for wrong, name, wanted in (
             (self.frame_bin % fine, 'frame_bin', f'a multiple of gradient_bin = {fine}'),
             (unknown or not self.frame_channels, 'frame_channels', f'some of {FRAME_CHANNELS}'),
-            (point not in points, 'correction_point', f'one of {points}'),
+            (windows < FEWEST_WINDOWS, 'history_windows', f'{FEWEST_WINDOWS} or more'),
             (self.shear and not self.reads_flow, 'frame_channels', 'flow_x and flow_y for shear'),
         ):
             if wrong:
@@ -239,7 +223,7 @@ class FgerConfig:
 
 
 STATISTICS = (
-    *('frame.mean', 'frame.scale', 'frame.spread', 'event.scale', 'deviation.scale'),
+    *('frame.mean', 'frame.scale', 'frame.spread', 'event.scale', 'deviation'),
     *('shear.unit', 'shear.deviation'),
 )
 """Tensors of a weight file that are not trained by gradients."""
@@ -282,18 +266,11 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     linear('gates_force', 1, gates, bias=False)
     linear('gates_hidden', config.lstm_size, gates, bias=False)
     shortcut = config.event_size if config.event_shortcut else 0
-    for name, inputs in (
-        ('increment', config.lstm_size + shortcut),
-        ('correction', 1 + config.feature_size),
-    ):
-        linear(f'{name}.0', inputs, config.mlp_size)
-        linear(f'{name}.2', config.mlp_size, 1)
+    linear('increment.0', config.lstm_size + shortcut, config.mlp_size)
+    linear('increment.2', config.mlp_size, 1)
     if config.frame_context:
         linear('context', config.feature_size, config.mlp_size, bias=False)
-    if config.deviation_size:
-        linear('deviation.hidden', config.lstm_size + 2, config.deviation_size)
-        linear('deviation.output', config.deviation_size, 1)
-        shapes['deviation.scale'] = (1,)
+    shapes['deviation'] = (3,)
     if config.shear:
         linear('shear.frame', config.feature_size, 2)
         linear('shear.turning', config.frame_size, len(TURNING_WIDTHS))
@@ -316,13 +293,14 @@ def operations_per_cycle(config: FgerConfig) -> int:
         for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
     )
     total += sizes['frame.project.weight']
-    per_frame = ('correction', 'shear', 'context')
+    per_frame = ('shear', 'context')
     total += sum(size for name, size in sizes.items() if name.startswith(per_frame))
     per_window = sum(
         size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))
     )
-    if config.shear:
-        cells = config.grid_rows * config.grid_columns
-        total += 2 * 3 * MOMENTS * cells
-        per_window += 2 * 3 * cells
+    if config.reads_flow:
+        # Of the event flow: the normal force, and with `shear` three more.
+        per_cell = 2 * (4 if config.shear else 1) * config.grid_rows * config.grid_columns
+        total += MOMENTS * per_cell
+        per_window += per_cell
     return 2 * (total + per_window * 40_000 // config.window_us)

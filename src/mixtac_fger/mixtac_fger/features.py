@@ -378,10 +378,6 @@ class WindowFeatures:
         return bool(light)
 
 
-EXPOSED_WINDOWS = 2
-"""Windows before and after the centre of an exposure that its frame is the mean of."""
-
-
 def correction_lag(estimate_us: int, mid_us: int, window_us: int) -> int:
     """Return how many windows before the estimate at `estimate_us` the one nearest `mid_us` is.
 

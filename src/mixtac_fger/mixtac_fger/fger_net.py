@@ -2,20 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The estimator of FGER-Net, small version: compiled, without torch.
 
-The network corrects its force F at once when a frame has been evaluated, 25 times a second. A
-controller must not see these steps, which are not steps of the real force. The output therefore
-follows a correction c over the next :math:`N` windows, by an equal share in each:
+A frame measures the force absolutely, at the centre of its exposure; events measure its change
+since then (`mixtac_fger.recurrent_network`):
+
+.. math:: F_t = F_{frame} + g_A A_t + g_B B_t
+
+When a frame has been evaluated, 25 times a second, F is corrected at once. A controller must not
+see these steps, which are not steps of the real force. The output therefore follows a correction c
+over the next :math:`N` windows, by an equal share in each:
 
 .. math:: f_t = F_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
 
-where the pending part p grows by c and n starts over when a frame corrects. The part beyond three
-standard deviations is applied at once, because noise does not explain it. The deviation
-:math:`\sigma` of the output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
+where the pending part p grows by c and n starts over when a frame corrects. The standard deviation
+of the output is that of a frame, a floor b and a share s of the force, with a share h of what
+events have added since, and the pending part:
 
-While the force vibrates, the network loses the correction by a frame within one window, because
-events of alternating sign pull F back to its earlier value. Frames then correct the output instead:
-see `Vibration`. A frame that was exposed during a blow averages different forces, and is not used
-for a correction.
+.. math:: \sigma^2 = b^2 + (s f)^2 + h^2 (g_A A + g_B B)^2 + p^2
+
+A frame that was exposed during a blow averages different forces, and is not used for a correction.
 """
 
 from __future__ import annotations
@@ -23,14 +27,14 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mixtac_fger.config import (
     ARCHITECTURE,
+    MOMENTS,
     VERSION,
     ConfigError,
     FgerConfig,
@@ -41,11 +45,11 @@ from mixtac_fger.config import (
 )
 from mixtac_fger.contact import TouchMeter
 from mixtac_fger.estimator import EncodedFrame, Estimator
-from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, WindowFeatures
+from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.reference import Reference
-from mixtac_fger.shear import Shear, ShearHead, Shown
+from mixtac_fger.shear import FlowMoments, Shear, ShearHead, Shown
 from mixtac_fger.weights import MODEL_REMEDY
 
 if TYPE_CHECKING:
@@ -57,32 +61,24 @@ if TYPE_CHECKING:
     from mixtac_fger.weights import Model
 
 
-SPREAD_WINDOWS = 10
-"""Windows over which the output follows a correction; half the time between two frames."""
+SPREAD_WINDOWS = 6
+"""Windows over which the output follows a correction."""
 DIVISORS = {'event.scale', 'frame.scale', 'frame.spread'}
 """Tensors by which inputs are divided."""
 BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
 but never two frames in a row."""
-UNCONFIRMED_SHARE = 0.3
-"""Standard deviation of increments that no frame has confirmed yet, as a part of their sum."""
-TIMING_WINDOWS = 4.0
-"""Standard deviation of the time of a force [windows]."""
-SLOPE_WINDOWS = 5
-"""Windows over which the slope of the force is averaged."""
-STEEPEST_N = 0.05
-"""Largest slope that counts [N per window]."""
-REST_DEVIATION = 0.003
-"""Standard deviation of the force of a sensor at rest, for a gel of usual stiffness [N]."""
-SPREAD_DEVIATIONS = 3.0
-"""Standard deviations of the force beyond which a correction is applied at once."""
 
 
 class _Content(NamedTuple):
-    """What is needed of a frame: f_frame, what events are multiplied with, and the shear shown."""
+    """What is needed of a frame: f_frame, how events are read by it, and the shear shown.
+
+    `press` is as in `RecurrentPath.see`.
+    """
 
     feature: NDArray[np.float32]
     guide: EventGuide
+    press: NDArray[np.float64]
     shear: Shown | None
 
 
@@ -119,99 +115,8 @@ def checked_config(model: Model) -> FgerConfig:
     return config
 
 
-class Vibration:
-    r"""Recognises a force that vibrates, and follows its mean by frames.
-
-    A vibration begins when the sum of the increments has reversed `TURNS` times by `SWING_N` or
-    more within the latest `SPAN` windows. It ends when fewer than `TURNS_LEFT` reversals are left,
-    or when there was none in `QUIET` windows. A vibration of 50 Hz reverses twelve times; rebounds
-    have rest between them. During a vibration the output is
-
-    .. math:: f_t = F_t + o, \quad o \leftarrow o + k (F_{frame} - \bar F - o),
-
-    where the mean is over the exposure; k is 1 for the first frame and `SHARE` for each after it.
-    The deviation follows the phase of the vibration, but the error does not. The reported deviation
-    is therefore at least its mean over a frame interval, and the difference to the frames adds to
-    it. The constants are from 40 simulated trials of 5 s (vibrations, blows, and without either).
-
-    Args:
-        unit: What one newton of the constants is; see `FgerConfig.force_unit`.
-
-    Attributes:
-        active: Whether the force vibrates.
-        offset: Correction that frames add to the force [N].
-        misfit: Root mean square of the difference between frames and corrected force [N].
-    """
-
-    SWING_N: Final = 0.02
-    SPAN: Final = 60
-    TURNS: Final = 12
-    TURNS_LEFT: Final = 9
-    QUIET: Final = 10
-    SHARE: Final = 0.5
-    MEAN_WINDOWS: Final = 20
-
-    def __init__(self, unit: float) -> None:
-        self._swing = unit * self.SWING_N
-        self._turns: deque[int] = deque()
-        self.offset = self.misfit = self._mean_deviation = 0.0
-        self._compared = False
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self.active = False
-        self._turns.clear()
-        self._window, self._way = 0, 1.0
-        self._sum = self._farthest = 0.0
-        self.end()
-
-    def step(self, increment: float) -> None:
-        """Add the change of the force in a window, without corrections [N]."""
-        self._window += 1
-        self._sum += increment
-        ahead = self._way * (self._sum - self._farthest)
-        if ahead > 0.0:
-            self._farthest = self._sum
-        elif ahead < -self._swing:
-            self._way, self._farthest = -self._way, self._sum
-            self._turns.append(self._window)
-        if self._turns and self._turns[-1] <= self._window - self.QUIET:
-            self._turns.clear()
-        while self._turns and self._turns[0] <= self._window - self.SPAN:
-            self._turns.popleft()
-        self.active = len(self._turns) >= (self.TURNS_LEFT if self.active else self.TURNS)
-
-    def correct(self, difference: float) -> float:
-        """Add a frame and return the change of the offset [N].
-
-        Args:
-            difference: The frame's force, less the mean of F in its exposure [N].
-        """
-        change = difference - self.offset
-        if self._compared:
-            self.misfit = math.sqrt(self.misfit**2 + self.SHARE * (change**2 - self.misfit**2))
-            change *= self.SHARE
-        self._compared = True
-        self.offset += change
-        return change
-
-    def deviation(self, deviation: float) -> float:
-        """Return the standard deviation, given that of the network in each window [N]."""
-        mean = self._mean_deviation or deviation
-        self._mean_deviation = mean + (deviation - mean) / self.MEAN_WINDOWS
-        return math.hypot(max(deviation, mean), self.misfit)
-
-    def end(self) -> float:
-        """Return the offset of a vibration that has ended, and forget it."""
-        offset, self.offset = self.offset, 0.0
-        self.misfit = self._mean_deviation = 0.0
-        self._compared = False
-        return offset
-
-
 CALIBRATED_DEVIATION = 0.3
-"""Factor of the network's deviations once the gain of the sensor is known.
+"""Factor of the share of the force in its deviation once the gain of the sensor is known.
 
 The deviations of a model for unknown sensors include their unknown stiffness.
 """
@@ -228,21 +133,19 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     Args:
         model: Not changed.
         gain: Above 0.
-        deviation: Factor of the deviation of the normal force beside it.
+        deviation: Factor of the share of the normal force in its deviation.
 
     Raises:
         ModelError: The gain is no such number, or as `checked_config`.
     """
     unit = gain * _checked(model, gain).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
-    for layer in ('increment.2', 'correction.2', 'frame.head'):
+    for layer in ('increment.2', 'frame.head'):
         for kind in ('weight', 'bias'):
             tensors[f'{layer}.{kind}'] *= np.float32(gain)
     tensors['gates_force.weight'] /= np.float32(gain)
-    tensors['correction.0.weight'][:, 0] /= np.float32(gain)
-    if 'deviation.scale' in tensors:
-        tensors['deviation.hidden.weight'][:, -2:] /= np.float32(gain)
-        tensors['deviation.scale'] *= np.float32(gain * deviation)
+    tensors['deviation'][0] *= np.float32(gain)
+    tensors['deviation'][1] *= np.float32(deviation)
     if 'shear.unit' in tensors:
         tensors['shear.unit'] *= np.float32(gain)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
@@ -281,7 +184,7 @@ class FgerEstimator(Estimator):
         config: Network configuration.
         parameters: Number of trained parameters.
         operations: Floating-point operations per frame interval of 40 ms (2 per multiply-add).
-        path: The recurrent network, and the gain of its increments.
+        path: The recurrent network, and the gains of the events.
 
     Raises:
         ModelError: As `checked_config`.
@@ -294,7 +197,8 @@ class FgerEstimator(Estimator):
         self.config = config = checked_config(model)
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
         self.force_unit = config.force_unit
-        self.gives_deviation = config.deviation_size > 0
+        self._deviation = np.array(model.tensors['deviation'], np.float64)
+        self.gives_deviation = bool(self._deviation.any())
         self.parameters, self.operations = count_parameters(config), operations_per_cycle(config)
         self.reference = Reference(config)
         self._weights = frame_weights(model.tensors, config)
@@ -308,9 +212,8 @@ class FgerEstimator(Estimator):
         self._guide: EventGuide | None = None
         self._pending_n, self._pending_windows = 0.0, 0
         self._passed = False
-        self._output = self._slope = 0.0
-        self._vibration = Vibration(config.force_unit)
-        self._rest_deviation = REST_DEVIATION * config.force_unit
+        spread = model.tensors.get('frame.spread')
+        self._flow_moments = None if spread is None else FlowMoments(config, spread)
         self._touch: TouchMeter | None = None
         self._shear = ShearHead(config, model.tensors) if config.shear else None
 
@@ -346,8 +249,13 @@ class FgerEstimator(Estimator):
             feature = np.empty(self.config.feature_size, np.float32)
             force = frame_step(inputs, moments, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            shear = None if self._shear is None else self._shear.measure(feature)
-            content = _Content(feature, guide, shear)
+            press, shear = np.zeros((*self.config.grid_shape, 2)), None
+            if self._flow_moments is not None:
+                per_flow = self._flow_moments.per_flow(feature)
+                press = np.tensordot(self._weights.head[-MOMENTS:], per_flow, 1)
+                if self._shear is not None:
+                    shear = self._shear.measure(feature, per_flow)
+            content = _Content(feature, guide, press, shear)
             coarse = contrast.coarse
             touch, meter = None, self._touch
             if meter is not None:
@@ -358,16 +266,12 @@ class FgerEstimator(Estimator):
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""
-        if self._vibration.active:
-            then = self.path.mean(lag, EXPOSED_WINDOWS)
-            self._pending_n += self._vibration.correct(frame.force - then)
-        else:
-            # In a blow the frame is a mixture of forces, and no force at its centre.
-            self._passed = not self._passed and self.path.blow(lag, BLOW_WINDOWS)
-            if self._passed:
-                self.path.forget_frame()
-                return
-            self._pending_n += self.path.correct(frame.content.feature, lag)
+        # In a blow the frame is a mixture of forces, and no force at its centre.
+        self._passed = not self._passed and self.path.blow(lag, BLOW_WINDOWS)
+        if self._passed:
+            self.path.gains.forget_frame()
+            return
+        self._pending_n += self.path.correct(frame.force, lag)
         self._pending_windows = SPREAD_WINDOWS
         self._see(frame.content)
         if self._shear is not None:
@@ -376,16 +280,14 @@ class FgerEstimator(Estimator):
     def _see(self, content: _Content) -> None:
         """Let events be read by a frame from now on."""
         self._guide = content.guide
-        self.path.see(content.feature)
+        self.path.see(content.feature, content.press)
 
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
-        self._pending_n = self._slope = 0.0
-        self._vibration.clear()
+        self._pending_n = 0.0
         # A start at zero would take several frames to recover from, if in contact.
         self._see(frame.content)
         self.path.start_at(frame.force)
-        self._output = frame.force
         if self._shear is not None:
             self._shear.clear()
             self._shear.correct(frame.content.shear, 0)
@@ -398,50 +300,22 @@ class FgerEstimator(Estimator):
         """Advance by one window; returns force and standard deviation [N]."""
         assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
         light = self._window_features.compute(events, self._guide, self._features)
-        path, vibration = self.path, self._vibration
-        vibrated = vibration.active
         features = self._no_events if light else self._features
-        increment = path.step(features)
-        if vibrated:
-            # Frames lead the mean, and correct the path no more.
-            path.confirm()
-        force, deviation = path.force, path.deviation
-        if deviation is not None:
-            unconfirmed = UNCONFIRMED_SHARE * path.moved
-            deviation = math.hypot(deviation, self._rest_deviation, unconfirmed)
-        vibration.step(increment)
-        if vibration.active and not vibrated:
-            # The network has forgotten the frames; what the gain has added stays.
-            self._pending_n = 0.0
-            path.shift(force - path.network_force)
-            path.confirm()
-        if vibrated:
-            force += vibration.offset
-            if deviation is not None:
-                deviation = vibration.deviation(deviation)
-            if not vibration.active:
-                path.shift(vibration.end())
+        self.path.step(features)
         if self._shear is not None:
             self._shear.step(features)
         if self._pending_n:
-            self._follow(math.inf if deviation is None else SPREAD_DEVIATIONS * deviation)
-        before, self._output = self._output, force - self._pending_n
-        self._slope += (self._output - before - self._slope) / SLOPE_WINDOWS
-        if deviation is not None:
-            slope = min(abs(self._slope), STEEPEST_N * self.config.force_unit)
-            deviation = math.hypot(deviation, self._pending_n, TIMING_WINDOWS * slope)
-        return self._output, deviation
-
-    def _follow(self, largest: float) -> None:
-        """Let the output follow the latest correction, at once where it is too large [N]."""
-        self._pending_n = min(max(self._pending_n, -largest), largest)
-        self._pending_n -= self._pending_n / self._pending_windows
-        self._pending_windows -= 1
+            self._pending_n -= self._pending_n / self._pending_windows
+            self._pending_windows -= 1
+        force = self.path.force - self._pending_n
+        if not self.gives_deviation:
+            return force, None
+        floor, share, drift = self._deviation.tolist()
+        return force, math.hypot(floor, share * force, drift * self.path.moved, self._pending_n)
 
     def clear(self) -> None:
         """Forget the recurrent state."""
-        self._pending_n = self._output = self._slope = 0.0
-        self._vibration.clear()
+        self._pending_n = 0.0
         self.path.clear()
         if self._shear is not None:
             self._shear.clear()

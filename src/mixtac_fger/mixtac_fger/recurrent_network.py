@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The recurrent path and the uncertainty head, compiled: they run 500 times a second.
+"""The recurrent path, compiled: it runs 500 times a second.
 
-Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against. Only `EventGain` is not part of it: it is fitted to the
-sensor at run time.
+Memory is fixed. The torch network of `mixtac_learning.network` is the reference that this is tested
+against. Only `EventGains` are not part of it: they are fitted to the sensor at run time.
 """
 
 from __future__ import annotations
@@ -15,16 +14,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.config import (
-    CELL_FEATURES,
-    HIGHEST_LOG_DEVIATION,
-    LOWEST_LOG_DEVIATION,
-    FgerConfig,
-)
+from mixtac_fger.config import CELL_FEATURES, FgerConfig
 from mixtac_fger.frame_network import copied
+from mixtac_fger.shear import along_flow
 from mixtac_fger.weights import Tensors
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 
 class StepWeights(NamedTuple):
@@ -46,31 +42,13 @@ class StepWeights(NamedTuple):
     context: F32
 
 
-class HeadWeights(NamedTuple):
-    """Weights of a network of two layers with one output, float32.
-
-    Attributes:
-        hidden: [inputs, width].
-        hidden_bias: [width].
-        output: [width].
-        output_bias: One element.
-        scale: Factor of the output, one element.
-    """
-
-    hidden: F32
-    hidden_bias: F32
-    output: F32
-    output_bias: F32
-    scale: F32
-
-
 class StepState(NamedTuple):
     """State and scratch memory of the recurrent path, float32 unless noted.
 
     Attributes:
         hidden: LSTM output h.
         cell: LSTM cell C.
-        force: Present estimate [N], one element.
+        force: Estimate that the network reads [N], one element.
         scaled: Scratch for the scaled event features.
         event_hidden: Scratch.
         event_output: Scratch.
@@ -111,28 +89,6 @@ def _layer(tensors: Tensors, name: str) -> tuple[F32, F32]:
     return copied(tensors[f'{name}.weight'].T), copied(tensors[f'{name}.bias'])
 
 
-def head_weights(tensors: Tensors, first: str, second: str, scale: str = '') -> HeadWeights:
-    """Return copies of a head's weights in the layout of the compiled step.
-
-    Args:
-        tensors: Of a weight file.
-        first: Name of the first layer.
-        second: Name of the second layer.
-        scale: Name of the scale; empty for 1.
-    """
-    return HeadWeights(
-        *_layer(tensors, first),
-        copied(tensors[f'{second}.weight'][0]),
-        copied(tensors[f'{second}.bias']),
-        copied(tensors[scale] if scale else np.ones(1)),
-    )
-
-
-def deviation_weights(tensors: Tensors) -> HeadWeights:
-    """Return the weights of `deviation`."""
-    return head_weights(tensors, 'deviation.hidden', 'deviation.output', 'deviation.scale')
-
-
 BLOW_N = 1.0
 """Range of the sum of increments around an exposure from which on there was a blow [N]."""
 
@@ -169,7 +125,7 @@ def _sigmoid(value: np.float32) -> Any:  # noqa: ANN401
 
 @njit(cache=True, nogil=True)
 def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # noqa: ANN401
-    """Update hidden, cell and force by one window, and return the increment of the force [N].
+    """Update hidden and cell by one window, and return the increment of the force [N].
 
     Args:
         features: Grid features, float32 [grid rows, grid columns, 4].
@@ -206,64 +162,35 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # no
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
-    state.force[0] += total
     return total
 
 
-@njit(cache=True, nogil=True)
-def correction(force: float, frame_feature: F32, weights: HeadWeights) -> Any:  # noqa: ANN401
-    """Return MLP_corr of an estimate [N] and a frame feature: the correction [N]."""
-    total = weights.output_bias[0]
-    for column in range(weights.hidden.shape[1]):
-        value = weights.hidden_bias[column] + np.float32(force) * weights.hidden[0, column]
-        for row in range(frame_feature.shape[0]):
-            value += frame_feature[row] * weights.hidden[row + 1, column]
-        total += max(value, np.float32(0.0)) * weights.output[column]
-    return total
+class EventGains:
+    r"""How much force the events of this sensor stand for, measured with its frames.
 
+    Events say in two ways by how much the force has changed: A is the sum of the increments of the
+    network, and B is the press that their flow adds to the moments of the frame. A is the more
+    accurate one on the kind of sensor that the network was trained on, and the only one in blows.
+    B is linear and makes fewer errors on any other. From one frame to the next,
 
-@njit(cache=True, nogil=True)
-def deviation(state: F32, force: float, moved: float, weights: HeadWeights) -> Any:  # noqa: ANN401
-    """Return the standard deviation [N] of a force.
+    .. math:: \Delta F = g_A A + g_B B,
 
-    Args:
-        state: Recurrent state h after the window, [lstm_size].
-        force: Force at its end [N].
-        moved: Size of the sum of the increments that no frame has confirmed yet [N].
-        weights: Weights of the deviation head.
-    """
-    total = weights.output_bias[0]
-    for column in range(weights.hidden.shape[1]):
-        value = weights.hidden_bias[column] + np.float32(force) * weights.hidden[-2, column]
-        value += np.float32(moved) * weights.hidden[-1, column]
-        for row in range(state.shape[0]):
-            value += state[row] * weights.hidden[row, column]
-        total += max(value, np.float32(0.0)) * weights.output[column]
-    bounded = min(max(total, np.float32(LOWEST_LOG_DEVIATION)), np.float32(HIGHEST_LOG_DEVIATION))
-    return weights.scale[0] * np.exp(bounded)
-
-
-class EventGain:
-    r"""The gain of a sensor's events, measured with its frames.
-
-    Contrast thresholds, gels and beads differ from sensor to sensor, and so does the sum A of the
-    increments from events for the same change of force. From one frame to the next,
-
-    .. math:: \Delta F = g A,
-
-    where F is the corrected force at the centre of the exposure. g is estimated by least squares
-    with the forgetting factor `KEPT` per frame. Noise events make A larger, which lowers g: events
-    that explain nothing of what frames show count nothing. The prior is g = 1. Blows are not used:
-    their events saturate, and no frame shows them.
+    where F is the force of the frames. The gains are estimated by recursive least squares with the
+    forgetting factor `KEPT` per frame. Contrast thresholds, gels and beads differ from sensor to
+    sensor, and so do the gains. Noise events make A and B larger, which lowers the gains: events
+    that explain nothing of what frames show count nothing. Blows are not used: their events
+    saturate, and no frame shows them.
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
 
     Attributes:
-        value: The gain.
+        value: Both gains, float64 [2].
     """
 
-    PRIOR_N: Final = 0.5
+    PRIOR: Final = (0.7, 0.25)
+    """The gains before any frame: their mean on simulated sensors."""
+    PRIOR_N: Final = 0.22
     """Change of the force whose weight the prior has [N]."""
     KEPT: Final = 0.998
     """Share of the sums that is kept from frame to frame."""
@@ -275,32 +202,33 @@ class EventGain:
     def __init__(self, unit: float = 1.0) -> None:
         self._largest = unit * self.LARGEST_N
         self._prior = (unit * self.PRIOR_N) ** 2
+        self.value = np.array(self.PRIOR)
         # The prior is left out: it must not fade.
-        self._squares = self._products = 0.0
-        self._before: tuple[float, float] | None = None
-        self.value = 1.0
+        self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
+        self._before: tuple[float, F64] | None = None
 
     def forget_frame(self) -> None:
-        """Restart with the next frame; the gain is kept: it belongs to the sensor."""
+        """Restart with the next frame; the gains are kept: they belong to the sensor."""
         self._before = None
 
-    def frame(self, force: float, increments: float) -> None:
+    def frame(self, force: float, sums: F64) -> None:
         """Add a frame.
 
         Args:
-            force: Corrected force at the centre of its exposure [N].
-            increments: Sum of all increments until then [N].
+            force: Force of the frame [N].
+            sums: Of A and B until the centre of its exposure [N], [2]; kept.
         """
-        before, self._before = self._before, (force, increments)
+        before, self._before = self._before, (force, sums)
         if before is None:
             return
-        change, added = force - before[0], increments - before[1]
-        if max(abs(change), abs(added)) >= self._largest:
+        change, added = force - before[0], sums - before[1]
+        if max(abs(change), abs(float(self.value @ added))) >= self._largest:
             return
-        self._squares = self.KEPT * self._squares + added**2
-        self._products = self.KEPT * self._products + added * change
-        gain = (self._products + self._prior) / (self._squares + self._prior)
-        self.value = min(max(gain, 0.0), self.LARGEST)
+        self._squares = self.KEPT * self._squares + np.outer(added, added)
+        self._products = self.KEPT * self._products + change * added
+        squares = self._squares + self._prior * np.eye(2)
+        found = np.linalg.solve(squares, self._products + self._prior * np.array(self.PRIOR))
+        self.value = np.clip(found, 0.0, self.LARGEST)
 
 
 SETTLE_WINDOWS = 100
@@ -308,75 +236,65 @@ SETTLE_WINDOWS = 100
 
 
 class RecurrentPath:
-    """State of the recurrent path: LSTM, force estimate and the estimates of the recent past.
+    """The force: that of the latest frame, and what events have added since its exposure.
 
     Args:
         config: Network configuration.
         tensors: Of its weight file; copied.
+
+    Attributes:
+        gains: Of the events of this sensor.
     """
 
     def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
-        self._config = config
+        self._unit = config.force_unit
         self._event_shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
         self._weights = step_weights(tensors)
-        self._correction = head_weights(tensors, 'correction.0', 'correction.2')
-        self._deviation = deviation_weights(tensors) if config.deviation_size else None
         self._state = step_state(self._weights)
-        self._history = np.zeros(config.history_windows, np.float32)
-        self._sums = np.zeros(config.history_windows)
+        # Of A and B of `EventGains`, after each window.
+        self._sums = np.zeros((config.history_windows, 2))
         self._newest = 0
-        self._confirmed = 0.0
-        self._gain = EventGain(config.force_unit)
-        self.see(np.zeros(config.feature_size, np.float32))
+        self._shown, self._then = 0.0, np.zeros(2)
+        self.gains = EventGains(self._unit)
+        still = np.zeros((*config.grid_shape, 2))
+        self.see(np.zeros(config.feature_size, np.float32), still)
 
     @property
     def force(self) -> float:
-        """Present estimate: the network's, with the gain of the events since the last frame [N]."""
-        return self.network_force + (self._gain.value - 1.0) * self.moved
-
-    @property
-    def network_force(self) -> float:
-        """Present estimate of the network alone [N]."""
-        return float(self._state.force[0])
+        """Present estimate [N]."""
+        return self._shown + self.moved
 
     @property
     def moved(self) -> float:
-        """Sum of the increments since the exposure of the frame that corrected last [N]."""
-        return float(self._sums[self._newest]) - self._confirmed
-
-    @property
-    def deviation(self) -> float | None:
-        """Standard deviation of the present estimate [N]; None of a model that has none."""
-        if self._deviation is None:
-            return None
-        hidden, force = self._state.hidden, self._state.force[0]
-        return float(deviation(hidden, force, abs(self.moved), self._deviation))
+        """Change of the force since the exposure of the latest frame, by events [N]."""
+        return float(self.gains.value @ (self._sums[self._newest] - self._then))
 
     def change_sensor(self) -> None:
-        """Forget the gain of the events."""
-        self._gain = EventGain(self._config.force_unit)
+        """Forget the gains of the events."""
+        self.gains = EventGains(self._unit)
 
     def clear(self) -> None:
-        """Reset the force and the memory; the gain of the events is kept."""
+        """Reset the force and the memory; the gains of the events are kept."""
         kept = self._state.context.copy()
         for part in self._state:
             part[:] = 0.0
         self._state.context[:] = kept
-        self._gain.forget_frame()
-        self._history[:] = 0.0
-        self._sums[:] = 0.0
-        self.confirm()
+        self.gains.forget_frame()
+        self._sums[:] = self._then[:] = self._shown = 0.0
 
-    def confirm(self) -> None:
-        """Count the increments up to now as confirmed."""
-        self._confirmed = float(self._sums[self._newest])
+    def see(self, frame_feature: F32, press: F64) -> None:
+        """Relate motion and force by the latest frame from now on.
 
-    def see(self, frame_feature: F32) -> None:
-        """Use the feature of the latest frame, which relates motion and force."""
+        Args:
+            frame_feature: f_frame.
+            press: Change of the force by a flow of one pixel per threshold in each cell of the
+                event grid [N], [grid rows, grid columns, 2].
+        """
         matrix, context = self._weights.context, self._state.context
         context[:] = self._weights.increment_hidden_bias
         if matrix.size:
             context += matrix @ frame_feature
+        self._press = press
 
     def start_at(self, force: float) -> None:
         """Start at a known force [N], with the memory of a rest at this force without events.
@@ -384,70 +302,48 @@ class RecurrentPath:
         With an empty memory, which fits no force, the next increments would be wrong.
         """
         self.clear()
+        self._shown = force
         still = np.zeros(self._event_shape, np.float32)
         for _ in range(SETTLE_WINDOWS):
             self._state.force[0] = force
             advance(still, self._weights, self._state)
-        self._state.force[0] = force
-        self._history[:] = force
 
-    def correct(self, frame_feature: F32, lag: int) -> float:
-        """Correct the estimate and its past by a frame; returns the change of `force` [N].
+    def correct(self, force: float, lag: int) -> float:
+        """Correct the estimate by a frame; returns the change of the present force [N].
 
         Args:
-            frame_feature: f_frame of the frame.
-            lag: Windows between the last estimate and the centre of the exposure.
+            force: Of the frame [N].
+            lag: Windows between the last estimate and the centre of its exposure.
         """
-        before, size = self.force, len(self._history)
-        if self._config.correction_point != 'exposure_centre':
-            lag = 0
-        place = (self._newest - min(max(lag, 0), size - 1)) % size
-        then = self._history[place]
-        change = correction(then, frame_feature, self._correction)
-        self._confirmed = float(self._sums[place])
-        self._gain.frame(float(then + change), self._confirmed)
-        self._history += np.float32(change)
-        self._state.force[0] += change
+        before = self.force
+        self._shown, self._then = force, self._sums[self._back(lag)].copy()
+        self.gains.frame(force, self._then)
         return self.force - before
 
-    def forget_frame(self) -> None:
-        """Do not compare the next frame with those before it."""
-        self._gain.forget_frame()
-
-    def mean(self, lag: int, half: int) -> float:
-        """Return the mean of past estimates [N].
+    def blow(self, lag: int, half: int) -> bool:
+        """Return whether past windows are part of a blow, which no frame shows.
 
         Args:
             lag: Windows between the last estimate and their middle.
             half: Windows before and after the middle; fewer if later windows do not exist yet.
         """
-        return float(self._history.take(self._around(lag, half), mode='wrap').mean())
+        middle = self._newest - min(lag, len(self._sums) - half - 2)
+        places = np.arange(middle - half - 1, min(middle + half, self._newest) + 1)
+        sums = self._sums[:, 0].take(places, mode='wrap')
+        return bool(np.ptp(sums) > self._unit * BLOW_N)
 
-    def blow(self, lag: int, half: int) -> bool:
-        """Return whether past windows are part of a blow, which no frame shows; see `mean`."""
-        places = self._around(lag, half)
-        sums = self._sums.take([places[0] - 1, *places], mode='wrap')
-        return bool(np.ptp(sums) > self._config.force_unit * BLOW_N)
+    def _back(self, lag: int) -> int:
+        size = len(self._sums)
+        return (self._newest - min(max(lag, 0), size - 1)) % size
 
-    def _around(self, lag: int, half: int) -> NDArray[np.int64]:
-        middle = self._newest - min(lag, len(self._history) - half - 2)
-        return np.arange(middle - half, min(middle + half, self._newest) + 1)
-
-    def shift(self, change: float) -> None:
-        """Change the estimate and its past [N]."""
-        self._history += np.float32(change)
-        self._state.force[0] += change
-        self._gain.forget_frame()
-
-    def step(self, features: F32) -> float:
-        """Advance by one window and return the increment of the network's force [N].
+    def step(self, features: F32) -> None:
+        """Advance by one window.
 
         Args:
             features: Grid features, float32 [grid rows, grid columns, 4].
         """
-        increment = float(advance(features, self._weights, self._state))
-        total = self._sums[self._newest] + increment
-        self._newest = (self._newest + 1) % len(self._history)
-        self._history[self._newest] = self._state.force[0]
-        self._sums[self._newest] = total
-        return increment
+        # The network has learned with its own increments.
+        self._state.force[0] = self._shown + self._sums[self._newest, 0] - self._then[0]
+        added = advance(features, self._weights, self._state), along_flow(features, self._press)
+        before, self._newest = self._sums[self._newest], (self._newest + 1) % len(self._sums)
+        self._sums[self._newest] = before + added

@@ -39,7 +39,7 @@ into the gel (right-handed, REP-103). Forces act on the skin.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -157,6 +157,55 @@ def moments_of_cells(contact: tuple[float, float], shape: tuple[int, int], out: 
                 cell[4, axis] = -cell[0, axis] * lean_y / width
 
 
+PER_EVENT: Final = 0.4
+"""Displacement in frames over displacement per contrast threshold from events."""
+
+
+class FlowMoments:
+    """What the flow of events adds to the moments of the latest frame; memory is fixed.
+
+    Args:
+        config: Network configuration.
+        spread: Of each moment, float32 [9].
+    """
+
+    def __init__(self, config: FgerConfig, spread: F32) -> None:
+        self._shape = config.frame_shape
+        self._spread = np.array(spread, np.float64)
+        self._cells = np.empty((MOMENTS, *config.grid_shape, 2))
+        # Of a displacement in bins.
+        self._scale = (PER_EVENT / config.frame_bin / self._spread)[:, None, None, None]
+
+    def per_flow(self, feature: F32) -> F64:
+        """Return the change of the moments by a flow of one pixel per contrast threshold.
+
+        Args:
+            feature: f_frame, float32 [feature_size].
+
+        Returns:
+            Change over the spread, by x and y in each cell, [9, grid rows, grid columns, 2].
+        """
+        contact = contact_of(feature[-MOMENTS:] * self._spread, self._shape)
+        moments_of_cells(contact, self._shape, self._cells)
+        return self._scale * self._cells
+
+
+@njit(cache=True, nogil=True)
+def along_flow(features: F32, per_flow: F64) -> Any:  # noqa: ANN401
+    """Return the change of a force by the flow of a window.
+
+    Args:
+        features: Grid features, float32 [grid rows, grid columns, 4].
+        per_flow: Change by a flow of one pixel per threshold, [grid rows, grid columns, 2].
+    """
+    total = 0.0
+    for row in range(features.shape[0]):
+        for column in range(features.shape[1]):
+            cell, gain = features[row, column], per_flow[row, column]
+            total += gain[0] * cell[0] + gain[1] * cell[1]
+    return total
+
+
 NEWTONS: Final = (1.0, 1.0, 1e-3)
 """Units of the output of the network: newtons, and newton millimetres for the torque."""
 
@@ -183,10 +232,6 @@ class Shear(NamedTuple):
         return Shear._make(gain * each for each in self)
 
 
-PER_EVENT: Final = 0.4
-"""Displacement in frames over displacement per contrast threshold from events."""
-
-
 class Shown(NamedTuple):
     """The measurement of a frame, for a gel of usual stiffness.
 
@@ -204,11 +249,7 @@ class Shown(NamedTuple):
 def _advance(features: F32, per_flow: F64, before: F64, after: F64) -> None:
     """Write the sums [2, 3] after a window, given those before it."""
     for axis in range(3):
-        increment = 0.0
-        for row in range(features.shape[0]):
-            for column in range(features.shape[1]):
-                cell, gain = features[row, column], per_flow[axis, row, column]
-                increment += gain[0] * cell[0] + gain[1] * cell[1]
+        increment = along_flow(features, per_flow[axis])
         after[0, axis] = before[0, axis] + increment
         after[1, axis] = before[1, axis] + abs(increment)
 
@@ -239,15 +280,10 @@ class ShearHead:
         def tensor(name: str) -> F64:
             return np.array(tensors[name], np.float64)
 
-        self._shape = config.frame_shape
-        self._cells = np.empty((MOMENTS, *config.grid_shape, 2))
-        self._spread = tensor('frame.spread')
         self._frame = tensor('shear.frame.weight'), tensor('shear.frame.bias')
         self._turning = tensor('shear.turning.weight'), tensor('shear.turning.bias')
         self._units = tensor('shear.unit') * NEWTONS
         self._shares = tensor('shear.deviation')
-        # Of a displacement in bins.
-        self._per_moment = PER_EVENT / config.frame_bin / self._spread
         # Sums of the increments and of their sizes up to each window.
         self._sums = np.zeros((config.history_windows, 2, 3))
         self._newest, self._base = 0, np.zeros((2, 3))
@@ -256,21 +292,20 @@ class ShearHead:
         self._known = False
         self._found = np.zeros((2, 3))
 
-    def measure(self, feature: F32) -> Shown:
+    def measure(self, feature: F32, per_flow: F64) -> Shown:
         """Return the measurement of a frame.
 
         Args:
             feature: f_frame, float32 [feature_size].
+            per_flow: Of `FlowMoments`.
         """
         (weight, bias), (gates, gates_bias) = self._frame, self._turning
         turning = gates @ feature[: gates.shape[1]] + gates_bias
-        own = feature[-len(self._spread) :]
+        own = feature[-MOMENTS:]
         value = np.append(weight @ feature + bias, own[-len(turning) :] @ turning)
         per_moment = np.zeros((3, len(own)))
         per_moment[:2], per_moment[2, -len(turning) :] = weight[:, -len(own) :], turning
-        contact = contact_of(own * self._spread, self._shape)
-        moments_of_cells(contact, self._shape, self._cells)
-        return Shown(value, np.tensordot(per_moment * self._per_moment, self._cells, 1))
+        return Shown(value, np.tensordot(per_moment, per_flow, 1))
 
     def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
         """Correct the value by the measurement of a frame.

@@ -15,7 +15,15 @@ from mixtac_fger.config import MOMENTS, FgerConfig, ModelError
 from mixtac_fger.estimator import Estimate, fill_quality
 from mixtac_fger.features import bin_cells
 from mixtac_fger.fger_net import with_gain, with_sideways_gain
-from mixtac_fger.shear import PER_EVENT, Shear, ShearHead, contact_of, moments, moments_of_cells
+from mixtac_fger.shear import (
+    PER_EVENT,
+    FlowMoments,
+    Shear,
+    ShearHead,
+    contact_of,
+    moments,
+    moments_of_cells,
+)
 from mixtac_fger.weights import Model, ModelCard, read_model, save_model
 
 CONFIG = FgerConfig(shear=True)
@@ -128,6 +136,12 @@ def frame(flow):
     return feature
 
 
+def measured(head, flow):
+    """Return what a head measures in a frame with a displacement [2, rows, columns] in bins."""
+    feature = frame(flow)
+    return head.measure(feature, FlowMoments(CONFIG, SPREAD).per_flow(feature))
+
+
 def load(pull=(0.0, 0.0), turn=0.0):
     """Return the displacement of a press in the middle, pulled and turned [bins]."""
     return displacement(MIDDLE, press=0.1, pull=pull, turn=turn, width=15.0)
@@ -147,7 +161,7 @@ def flow_between(before, after):
 def test_events_tell_what_the_next_frame_shows():
     before, after = load(), load(pull=(0.3, -0.2), turn=0.03)
     head = ShearHead(CONFIG, tensors())
-    first, second = head.measure(frame(before)), head.measure(frame(after))
+    first, second = measured(head, before), measured(head, after)
     head.correct(first, 0)
     head.step(flow_between(before, after))
     change = second.value - first.value
@@ -160,7 +174,7 @@ def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on()
     head = ShearHead(CONFIG, tensors())
     assert head.value is None
     start, pulled = load(), load(pull=(0.5, 0.0))
-    shown = head.measure(frame(start))
+    shown = measured(head, start)
     head.correct(shown, 0)
     part = 0.25 * flow_between(start, pulled)
     step = np.tensordot(shown.per_flow, part[..., :2], 3)
@@ -168,7 +182,7 @@ def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on()
         head.step(part)
     np.testing.assert_allclose(head.value[:2], 2.0 * (shown.value + 4.0 * step)[:2], rtol=1e-6)
     # Exposed two windows ago: only the last two increments come on top.
-    shown = head.measure(frame(load(pull=(0.4, 0.1))))
+    shown = measured(head, load(pull=(0.4, 0.1)))
     head.correct(shown, 2)
     last = head.value[:2]
     nothing = np.zeros_like(part)
@@ -185,9 +199,9 @@ def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on()
 
 def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is():
     head = ShearHead(CONFIG, tensors())
-    head.correct(head.measure(frame(load())), 0)
+    head.correct(measured(head, load()), 0)
     start = head.value
-    shown = head.measure(frame(load(pull=(0.5, 0.0))))
+    shown = measured(head, load(pull=(0.5, 0.0)))
     head.correct(shown, 0, 10)
     assert head.value.x == pytest.approx(start.x)
     way = 2.0 * shown.value[0] - start.x
@@ -201,7 +215,7 @@ def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is():
 
 def test_values_that_are_not_finite_are_unknown():
     head = ShearHead(CONFIG, tensors())
-    shown = head.measure(frame(load()))
+    shown = measured(head, load())
     for windows in (1, 10):
         head.correct(shown._replace(value=np.array([np.nan, 0.0, 0.0])), 0, windows)
         assert head.value is None

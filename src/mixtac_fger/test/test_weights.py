@@ -63,7 +63,7 @@ def test_the_shipped_model_has_the_shapes_of_its_configuration():
     model = read_model(find_model('fger_small'))
     shapes = {name: tensor.shape for name, tensor in model.tensors.items()}
     assert shapes == tensor_shapes(FgerConfig.from_dict(model.config))
-    assert open_estimator(model).parameters == 69_065
+    assert open_estimator(model).parameters == 66_823
 
 
 def test_files_that_are_no_models_are_named(tmp_path):
@@ -86,9 +86,9 @@ def test_another_architecture_or_version_is_named(saved):
 @pytest.mark.parametrize(
     ('name', 'value'),
     [
-        ('correction.2.bias', [float('nan')]),
-        ('correction.2.bias', [float('inf')]),
-        ('correction.2.bias', [0.0] * 7),
+        ('increment.2.bias', [float('nan')]),
+        ('increment.2.bias', [float('inf')]),
+        ('increment.2.bias', [0.0] * 7),
         ('event.hidden.bias', None),
         ('event.scale', [0.0] * 4),
         ('frame.spread', [0.0] * 9),
@@ -107,8 +107,8 @@ def test_numbers_that_numpy_does_not_know_are_refused(saved):
     content = path.read_bytes()
     size = int.from_bytes(content[:8], 'little')
     head = json.loads(content[8 : 8 + size])
-    head['correction.2.bias'].update(dtype='BF16', data_offsets=[0, 2])
-    text = json.dumps({k: head[k] for k in ('__metadata__', 'correction.2.bias')}).encode()
+    head['increment.2.bias'].update(dtype='BF16', data_offsets=[0, 2])
+    text = json.dumps({k: head[k] for k in ('__metadata__', 'increment.2.bias')}).encode()
     path.write_bytes(len(text).to_bytes(8, 'little') + text + bytes(2))
     assert str(path) in refusal(path)
 
@@ -128,7 +128,6 @@ def test_an_unusable_configuration_is_named(saved, config):
         ('gradient_bin', 3),
         ('frame_channels', ('colour',)),
         ('frame_channels', ()),
-        ('correction_point', 'never'),
         ('force_unit', float('nan')),
         ('reference_stillness', float('inf')),
         ('history_windows', 1),

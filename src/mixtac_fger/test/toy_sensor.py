@@ -96,18 +96,15 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
     if config.reads_flow:
         tensors['frame.spread'][:] = 20.0
     tensors['event.scale'][:] = (2.0, 2.0, 3.0, 3.0)
-    tensors['deviation.scale'][:] = 1.0
+    tensors['frame.head.weight'] *= 10.0
+    tensors['deviation'][:] = (0.01, 0.1, 0.5)
     for name, tensor in tensors.items():
-        if name.startswith(('event.hidden', 'event.output', 'increment', 'correction')):
+        if name.startswith(('event.hidden', 'event.output', 'increment')):
             np.multiply(tensor, 4.0, out=tensor)
     # What the events add directly has no bound: smaller, or the estimate runs away.
     tensors['increment.0.weight'][:, config.lstm_size :] *= 0.02
-    tensors['increment.2.weight'] *= 0.02
+    tensors['increment.2.weight'] *= 0.04
     tensors['increment.2.bias'][:] = 0.0
-    # Nor may a correction be larger than what it corrects, or away from it.
-    tensors['correction.2.weight'] *= 0.25
-    force = tensors['correction.0.weight'][:, 0]
-    np.copysign(force, -tensors['correction.2.weight'][0], out=force)
     return Model(ARCHITECTURE, VERSION, config.to_dict(), ModelCard(), tensors)
 
 

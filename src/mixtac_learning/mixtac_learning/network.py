@@ -15,8 +15,6 @@ from torch.nn.functional import linear
 from mixtac_fger.config import (
     ARCHITECTURE,
     CELL_FEATURES,
-    HIGHEST_LOG_DEVIATION,
-    LOWEST_LOG_DEVIATION,
     MOMENTS,
     TURNING_WIDTHS,
     VERSION,
@@ -26,41 +24,6 @@ from mixtac_fger.config import (
 )
 from mixtac_fger.fger_net import checked_config
 from mixtac_fger.weights import Model, ModelCard, Tensors
-
-
-class DeviationHead(nn.Module):
-    """Standard deviation of a force, from the recurrent state and the force itself.
-
-    Args:
-        state_size: Size of the recurrent state h.
-        width: Width of the hidden layer.
-
-    Attributes:
-        scale: Factor that makes plus or minus one deviation cover 68.3 % of held-out windows.
-    """
-
-    def __init__(self, state_size: int, width: int) -> None:
-        super().__init__()
-        self.hidden = nn.Linear(state_size + 2, width)
-        self.output = nn.Linear(width, 1)
-        self.scale: Tensor
-        self.register_buffer('scale', torch.ones(1))
-
-    def log_deviation(self, hidden: Tensor, force: Tensor, moved: Tensor) -> Tensor:
-        """Return the logarithm of the uncalibrated deviation [log N], [...].
-
-        Args:
-            hidden: Recurrent state after a window, [..., state_size].
-            force: Force at the end of the window [N], [...].
-            moved: Size of the sum of the increments since the latest exposure [N], [...].
-        """
-        inputs = torch.cat([hidden, force[..., None], moved[..., None]], dim=-1)
-        raw = self.output(torch.relu(self.hidden(inputs)))[..., 0]
-        return torch.Tensor(raw.clamp(LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION))
-
-    def forward(self, hidden: Tensor, force: Tensor, moved: Tensor) -> Tensor:
-        """Return the calibrated standard deviation [N], arguments as in `log_deviation`."""
-        return self.scale * self.log_deviation(hidden, force, moved).exp()
 
 
 def usual_device() -> str:
@@ -80,8 +43,8 @@ class SequenceState(NamedTuple):
         hidden: LSTM output h, [B, lstm_size].
         cell: LSTM cell C, [B, lstm_size].
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
-        offset: Sum of the corrections so far, [B] in N; history[-1] + offset is the estimate.
-        confirmed: Element of `history` at the centre of the latest frame's exposure, [B] in N.
+        offset: Force of the latest frame less the element of `history` at the centre of its
+            exposure, [B] in N; history[-1] + offset is the estimate.
         seen: f_frame of the latest frame, [B, feature_size].
     """
 
@@ -89,7 +52,6 @@ class SequenceState(NamedTuple):
     cell: Tensor
     history: Tensor
     offset: Tensor
-    confirmed: Tensor
     seen: Tensor
 
     def detach(self) -> SequenceState:
@@ -119,14 +81,10 @@ class Course(NamedTuple):
 
     Attributes:
         force: Force at the end of each window [N], [T, B].
-        hidden: LSTM output h after each window, [T, B, lstm_size].
-        moved: Size of the sum of the increments since the latest exposure [N], [T, B].
         state: State after the last window.
     """
 
     force: Tensor
-    hidden: Tensor
-    moved: Tensor
     state: SequenceState
 
 
@@ -237,13 +195,12 @@ class FgerNetwork(nn.Module):
         self.gates_hidden = nn.Linear(config.lstm_size, gates, bias=False)
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
-        self.correction = perceptron(1 + config.feature_size, config.mlp_size)
         if config.frame_context:
             self.context = nn.Linear(config.feature_size, config.mlp_size, bias=False)
         if config.shear:
             self.shear = ShearHead(config)
-        if config.deviation_size:
-            self.deviation = DeviationHead(config.lstm_size, config.deviation_size)
+        self.deviation: Tensor
+        self.register_buffer('deviation', torch.zeros(3))
 
     def initial_state(self, sequences: int) -> SequenceState:
         """Return the state before the first window: no force, empty memory."""
@@ -252,7 +209,7 @@ class FgerNetwork(nn.Module):
         history = torch.zeros(config.history_windows, sequences, device=device)
         offset = torch.zeros(sequences, device=device)
         seen = torch.zeros(sequences, config.feature_size, device=device)
-        return SequenceState(zeros, zeros, history, offset, offset, seen)
+        return SequenceState(zeros, zeros, history, offset, seen)
 
     def forward(
         self,
@@ -279,18 +236,17 @@ class FgerNetwork(nn.Module):
             direct = direct + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
-        arriving, drives, directs = (each.unbind(0) for each in (features[1:], drive, direct))
-        hidden, cell, offset, confirmed = state.hidden, state.cell, state.offset, state.confirmed
+        shown, drives, directs = (
+            each.unbind(0) for each in (self.frame.head(features[1:])[..., 0], drive, direct)
+        )
+        hidden, cell, offset = state.hidden, state.cell, state.offset
         past = list(state.history.unbind(0))
-        forces, states, moved = [], [], []
+        forces = []
         for window, arrival in enumerate(arrivals):
             if arrival:
                 here = FrameSlots(slots.frame[window], slots.lag[window])
-                exposed = self._exposed(past, here)
-                fusion = torch.cat([(exposed + offset)[:, None], arriving[window]], dim=1)
-                came = here.frame >= 0
-                offset = offset + torch.where(came, self.correction(fusion)[:, 0], 0.0)
-                confirmed = torch.where(came, exposed, confirmed)
+                corrected = shown[window] - self._exposed(past, here)
+                offset = torch.where(here.frame >= 0, corrected, offset)
             estimate = (past[-1] + offset)[:, None]
             gates = drives[window] + self.gates_force(estimate) + self.gates_hidden(hidden)
             keep_in, keep_old, fresh, keep_out = gates.chunk(4, dim=1)
@@ -299,12 +255,9 @@ class FgerNetwork(nn.Module):
             middle = torch.relu(directs[window] + linear(hidden, of_state))
             past.append(past[-1] + self.increment[2](middle)[:, 0])
             forces.append(past[-1] + offset)
-            states.append(hidden)
-            moved.append((past[-1] - confirmed).detach())
         history = torch.stack(past[-self.config.history_windows :])
-        last = SequenceState(hidden, cell, history, offset, confirmed, seen[-1])
-        found = torch.stack(forces), torch.stack(states), torch.stack(moved).abs()
-        return Course(*found, last)
+        last = SequenceState(hidden, cell, history, offset, seen[-1])
+        return Course(torch.stack(forces), last)
 
     def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
         """Split the hidden layer of MLP_df: the loop over windows costs most of the time.
@@ -325,9 +278,7 @@ class FgerNetwork(nn.Module):
 
     def _exposed(self, past: list[Tensor], slots: FrameSlots) -> Tensor:
         """Return the sum of the increments [B] at the centre of the exposure of the frames."""
-        depth = 1
-        if self.config.correction_point == 'exposure_centre':
-            depth += min(int(slots.lag.max()), self.config.history_windows - 1)
+        depth = 1 + min(int(slots.lag.max()), self.config.history_windows - 1)
         recent = torch.stack(past[-depth:])
         row = (depth - 1 - slots.lag).clamp(0, depth - 1)
         return recent.gather(0, row[None])[0]

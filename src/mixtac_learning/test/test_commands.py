@@ -80,7 +80,7 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
     kept = sorted(path.name.rpartition('-')[0] for path in (tmp_path / 'data').iterdir())
     assert kept == sorted(simulated[:3])
     curves = json.loads((tmp_path / 'run' / 'curves.json').read_text())['epochs']
-    stages = ['frames'] * 3 + ['recurrent'] * 6 + ['joint'] + ['deviation'] * 10
+    stages = ['frames'] * 3 + ['recurrent'] * 6 + ['joint']
     assert [row['stage'] for row in curves] == stages
     picture = tmp_path / 'trials.png'
     training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
@@ -110,7 +110,7 @@ def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial,
     changed = {
         n for n, value in model.tensors.items() if not np.array_equal(value, start.tensors[n])
     }
-    assert {'frame.head.weight', 'correction.2.weight'} <= changed
+    assert {'frame.head.weight', 'increment.2.weight'} <= changed
     assert not [n for n in changed if n.startswith(('frame.convolutions', 'shear.'))]
 
 
@@ -143,7 +143,7 @@ def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
     out, brief = tmp_path / 'small.safetensors', {'frame_epochs': 1, 'recurrent_epochs': 1}
     config = RunConfig(
         out=str(out),
-        training={**brief, 'joint_epochs': 0, 'deviation_epochs': 0},
+        training={**brief, 'joint_epochs': 0},
         data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.0),
         judged=1,
     )
@@ -158,7 +158,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     config = tmp_path / 'run.yaml'
     config.write_text(
         'model: ours\n'
-        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0, deviation_epochs: 0}\n'
+        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0}\n'
         'data:\n'
         '  simulated: {presets: [easy], sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
         '  checked: 0.34\n'

@@ -43,13 +43,11 @@ class TrainingSettings:
         frame_epochs: Epochs of the frame network alone.
         recurrent_epochs: Epochs of the recurrent path on the frozen frame network.
         joint_epochs: Epochs of both together.
-        deviation_epochs: Epochs of the uncertainty head on the finished network.
         frame_batch: Frames per update.
         chunk_windows: Windows per update of the recurrent path: gradients do not reach further.
         frame_rate: Largest learning rate of the frame stage.
         recurrent_rate: Largest learning rate of the recurrent stage.
         joint_rate: Largest learning rate of the joint stage.
-        deviation_rate: Largest learning rate of the uncertainty head.
         weight_decay: Weight decay of AdamW.
         loss_knee_n: Errors above this count linearly, below it quadratically [N]; a fifth of it
             near no force (`mixtac_learning.train.frame_stage.force_loss`).
@@ -74,13 +72,11 @@ class TrainingSettings:
     frame_epochs: int = 30
     recurrent_epochs: int = 60
     joint_epochs: int = 10
-    deviation_epochs: int = 10
     frame_batch: int = 128
     chunk_windows: int = 100
     frame_rate: float = 2e-3
     recurrent_rate: float = 3e-3
     joint_rate: float = 5e-4
-    deviation_rate: float = 3e-3
     weight_decay: float = 1e-3
     loss_knee_n: float = 0.05
     gain_prior: float = 0.01
@@ -222,7 +218,6 @@ ADAPTING = {
     'recurrent_epochs': 10,
     'recurrent_rate': 3e-4,
     'joint_epochs': 0,
-    'deviation_epochs': 0,
 }
 """Training settings of `--start`: small steps, from weights that are good already."""
 HELD_BACK = 0.2

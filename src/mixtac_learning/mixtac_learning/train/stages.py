@@ -1,32 +1,30 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training FGER-Net in stages: frame network, recurrent path, both together, uncertainty head.
+"""Training FGER-Net in stages: frame network, recurrent path, both together.
 
-The uncertainty head learns from the errors of the finished network. Its likelihood is Laplacian, as
-errors have heavy tails. Its scale is fitted afterwards on held-out trials, so that an interval of
-one deviation to both sides covers as much as for a Gaussian. Errors within one trial are
-correlated: n trials determine the scale like n independent draws, and a further trial spreads like
-Student's t with n degrees of freedom. The gains of the sensors are not used here, because the error
-caused by an unknown stiffness belongs to the uncertainty.
+In training the force is that of the latest frame plus the increments since its exposure, without
+the gains of the sensor's events. The deviations are fitted afterwards, on trials that were not
+trained on, with the live estimator. The gains of the sensors are not used there, because the error
+caused by an unknown stiffness belongs to the deviation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mixtac_fger.config import FgerConfig
+from mixtac_fger.config import MOMENTS, FgerConfig
 from mixtac_fger.fger_net import SPREAD_WINDOWS
-from mixtac_fger.shear import ShearHead
+from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.shear import FlowMoments, ShearHead
 from mixtac_learning.network import (
-    Course,
     FgerNetwork,
     FrameSlots,
     SequenceState,
@@ -48,7 +46,6 @@ from mixtac_learning.train.frame_stage import (
     frame_parameters,
     mean_error,
     mirror_events,
-    shuffled,
 )
 from mixtac_learning.train.loop import Processes, TrainingError, TrainingLoop
 
@@ -60,44 +57,10 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     Returns:
         Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
     """
-    course, frames = _run(network, sequences)
-    return course.force, network.frame.force(frames)
-
-
-def _run(network: FgerNetwork, sequences: Sequences) -> tuple[Course, Tensor]:
-    """Return the course of all sequences from their start, and `frame_features` of all frames."""
     frames = encode(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
-    events = sequences.event_features.float()
-    return network(events, frames, sequences.slots, state), frames
-
-
-FOLLOWED = 0.8
-"""Part of the difference to a frame's force that is corrected at first."""
-_SMALL = 0.1
-"""Factor of the other weights that end in a force."""
-
-
-@torch.no_grad()
-def follow_frames(network: FgerNetwork) -> None:
-    """Make MLP_corr correct `FOLLOWED` of the difference to the frames-only force, in place.
-
-    Two of its hidden units become the halves of that difference above and below zero; MLP_corr
-    would have to learn from scratch what the head of the frame network knows already.
-
-    Args:
-        network: Its frame network is trained.
-    """
-    hidden, output = (network.correction.get_submodule(name) for name in ('0', '2'))
-    head = network.frame.head
-    weight = torch.cat([-torch.ones_like(head.bias), head.weight[0]])
-    for unit, sign in enumerate((1.0, -1.0)):
-        hidden.get_parameter('weight')[unit] = sign * weight
-        hidden.get_parameter('bias')[unit] = sign * head.bias[0]
-    for last in (output, network.increment.get_submodule('2')):
-        last.get_parameter('weight').mul_(_SMALL)
-        last.get_parameter('bias').zero_()
-    output.get_parameter('weight')[0, :2] = torch.tensor([FOLLOWED, -FOLLOWED])
+    course = network(sequences.event_features.float(), frames, sequences.slots, state)
+    return course.force, network.frame.force(frames)
 
 
 @torch.no_grad()
@@ -114,12 +77,11 @@ def share_convolutions(network: FgerNetwork, share: float) -> None:
     frame, config = network.frame, network.config
     still = frame.mean.new_zeros(1, len(config.frame_channels), *config.frame_shape)
     rest = torch.relu(frame.project(frame.convolutions(still).flatten()))
-    correction = network.correction.get_submodule('0')
-    readers = [(frame.head, frame.head, 0), (correction, correction, 1)]
+    readers: list[tuple[nn.Module, nn.Module]] = [(frame.head, frame.head)]
     if config.frame_context:
-        readers.append((network.context, network.increment.get_submodule('0'), 0))
-    for layer, biased, first in readers:
-        weight = layer.get_parameter('weight')[:, first : first + config.frame_size]
+        readers.append((network.context, network.increment.get_submodule('0')))
+    for layer, biased in readers:
+        weight = layer.get_parameter('weight')[:, : config.frame_size]
         biased.get_parameter('bias').add_((1.0 - share) * (weight @ rest))
         weight.mul_(share)
 
@@ -176,6 +138,10 @@ def _starts(force: Tensor, valid: Tensor) -> Tensor:
     return torch.tensor(found, dtype=torch.int64, device=force.device).reshape(-1, 2)
 
 
+SMALL = 0.1
+"""Factor of the last weights of the increments before their training."""
+
+
 @dataclass(eq=False)
 class SequenceStage(FgerStage):
     """Truncated back-propagation through all sequences of a group side by side.
@@ -190,17 +156,18 @@ class SequenceStage(FgerStage):
         """Whether the frame network learns as well."""
         return self.name == 'joint'
 
+    @torch.no_grad()
     def begin(self) -> None:
-        """Initialise the recurrent path so that it follows the frames."""
+        """Let the force follow the frames at first: the increments begin small."""
         if not self.joint and not self.model.adapts:
-            follow_frames(self.model.network)
+            last = self.model.network.increment.get_submodule('2')
+            last.get_parameter('weight').mul_(SMALL)
+            last.get_parameter('bias').zero_()
 
     def parameters(self) -> list[nn.Parameter]:
         """Return what is trained."""
         network = self.model.network
         without = set() if self.joint else {id(p) for p in frame_parameters(network)}
-        if network.config.deviation_size:
-            without |= {id(p) for p in network.deviation.parameters()}
         return [p for p in network.parameters() if id(p) not in without]
 
     def updates(self) -> int:
@@ -286,114 +253,58 @@ class SequenceStage(FgerStage):
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
 
-COVERED = 0.6827
-"""Part of the held-out windows within one deviation: that of a Gaussian."""
-_WINDOWS = 100_000
-"""Windows that are learned from, at most, drawn at random."""
-_BATCH = 1024
-
-
-class Errors(NamedTuple):
-    """Windows of finished estimates.
+class LiveCourse(NamedTuple):
+    """Values after each window as the live estimator has them, N, N and N mm.
 
     Attributes:
-        hidden: Recurrent state, [N, lstm_size].
-        force: Estimate [N], [N].
-        moved: As in `Course` [N], [N].
-        error: Estimate minus known force [N], [N].
-        trials: Number of trials that they are from.
+        force: Normal force, [T, B].
+        moved: Its change since the exposure of the latest frame, by events, [T, B].
+        across: `ShearHead.course`, [T, B, 2, 3]; zeros without the head.
     """
 
-    hidden: Tensor
     force: Tensor
     moved: Tensor
-    error: Tensor
-    trials: int
-
-
-@dataclass(eq=False)
-class DeviationStage(FgerStage):
-    """Trains the uncertainty head; nothing else changes."""
-
-    @cached_property
-    def errors(self) -> Errors:
-        """Windows of the finished estimates of the trials to train on."""
-        return collect(self.model.network, self.groups)
-
-    def parameters(self) -> list[nn.Parameter]:
-        """Return the weights of the head."""
-        return list(self.model.network.deviation.parameters())
-
-    def updates(self) -> int:
-        """Return the number of updates per epoch."""
-        return -(-len(self.errors.error) // _BATCH)
-
-    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
-        """Yield the losses of one epoch in random order."""
-        errors, head = self.errors, self.model.network.deviation
-        order = shuffled(len(errors.error), random)
-        for chosen in torch.split(order, _BATCH):
-            hidden, force, moved, error = (part[chosen] for part in errors[:4])
-            log_deviation = head.log_deviation(hidden, force, moved)
-            ratio = error.abs() * torch.exp(-log_deviation)
-            yield torch.Tensor((log_deviation + ratio).mean())
+    across: Tensor
 
 
 @torch.no_grad()
-def collect(network: FgerNetwork, groups: DiskGroups, most: int = _WINDOWS) -> Errors:
-    """Return states, estimates and errors of at most `most` windows, drawn at random."""
-    random = torch.Generator().manual_seed(0)
-    share = max(most // len(groups), 1)
-    device = next(network.parameters()).device
-    parts, trials = [], 0
-    for index in range(len(groups)):
-        sequences = groups.load(index).to(device)
-        course, _ = _run(network, sequences)
-        rows = torch.nonzero(sequences.valid.flatten())[:, 0]
-        rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
-        error = course.force - sequences.force
-        windows = (course.hidden.flatten(0, 1), course.force, course.moved, error)
-        parts.append([windows[0][rows], *(each.flatten()[rows] for each in windows[1:])])
-        trials += len(sequences.device)
-    hidden, force, moved, wrong = (torch.cat(each) for each in zip(*parts, strict=True))
-    return Errors(hidden, force, moved, wrong, trials)
-
-
-@torch.no_grad()
-def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
-    """Set the head's scale so that one deviation covers `COVERED` of a further trial; return it."""
-    from scipy.stats import t as student
-
-    head = network.deviation
-    ratio = errors.error.abs() * torch.exp(-head.log_deviation(*errors[:3]))
-    few_trials = float(student.ppf(0.5 * (1.0 + COVERED), errors.trials))
-    scale = few_trials * float(torch.quantile(ratio, COVERED))
-    head.scale.fill_(max(scale, 1e-3))
-    return float(head.scale)
-
-
-@torch.no_grad()
-def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
-    """Return `ShearHead.course` after each window, as the live estimator has it, [T, B, 2, 3].
+def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
+    """Run trials as the live estimator does, with the gains of each sensor.
 
     Args:
-        network: With the head.
+        network: Trained.
         sequences: Trials.
     """
-    features = encode(network, sequences).cpu().numpy()
-    events = sequences.event_features.float().cpu().numpy()
-    slots = [part.cpu().numpy() for part in sequences.slots]
-    tensors = arrays_of(network)
-    out = np.zeros((*events.shape[:2], 2, 3), np.float32)
+    config, tensors = network.config, arrays_of(network)
+    frames = encode(network, sequences)
+    forces = network.frame.force(frames).cpu().numpy()
+    features, events, frame, lags = (
+        part.cpu().numpy() for part in (frames, sequences.event_features.float(), *sequences.slots)
+    )
+    spread, head = tensors.get('frame.spread'), tensors['frame.head.weight'][0, -MOMENTS:]
+    moments = None if spread is None else FlowMoments(config, spread)
+    press, found = np.zeros((*config.grid_shape, 2)), np.zeros((*events.shape[:2], 8), np.float32)
     for trial in range(events.shape[1]):
-        head = ShearHead(network.config, tensors)
+        path = RecurrentPath(config, tensors)
+        shear = ShearHead(config, tensors) if config.shear else None
         for window in range(len(events)):
-            frame, lag = (int(each[window, trial]) for each in slots)
-            if frame >= 0:
-                head.correct(head.measure(features[frame]), lag, SPREAD_WINDOWS)
-            head.step(events[window, trial])
-            out[window, trial] = head.course
-    return torch.from_numpy(out)
+            if (row := int(frame[window, trial])) >= 0:
+                lag = int(lags[window, trial])
+                path.correct(float(forces[row]), lag)
+                if moments is not None:
+                    per_flow = moments.per_flow(features[row])
+                    press = np.tensordot(head, per_flow, 1)
+                    if shear is not None:
+                        shear.correct(shear.measure(features[row], per_flow), lag, SPREAD_WINDOWS)
+                path.see(features[row], press)
+            path.step(events[window, trial])
+            found[window, trial, :2] = path.force, path.moved
+            if shear is not None:
+                shear.step(events[window, trial])
+                found[window, trial, 2:] = shear.course.ravel()
+    force, moved, across = np.split(found, [1, 2], axis=-1)
+    across = across.reshape(*across.shape[:-1], 2, 3)
+    return LiveCourse(*(torch.from_numpy(each) for each in (force[..., 0], moved[..., 0], across)))
 
 
 def has_across(groups: DiskGroups) -> bool:
@@ -402,29 +313,69 @@ def has_across(groups: DiskGroups) -> bool:
     return any(bool(torch.isfinite(each.across[each.valid]).any()) for each in loaded)
 
 
+COVERED = 0.6827
+"""Part of the held-out windows within one deviation: that of a Gaussian."""
+MOST_ROWS = 100_000
+"""Windows that the deviations are fitted to, at most, evenly over all."""
+
+
 @torch.no_grad()
-def calibrate_shear(network: FgerNetwork, groups: DiskGroups) -> None:
-    """Fit the deviations of sideways force and torsion: floor and shares of `ShearHead`.
+def calibrate_deviations(network: FgerNetwork, groups: DiskGroups) -> None:
+    """Fit the deviations of all forces, each by a floor and two shares.
 
     Args:
-        network: With the head.
-        groups: Trials that were not trained on, some of them with the force across the normal.
+        network: Trained.
+        groups: Trials that were not trained on, as errors of others are too small; sideways forces
+            are fitted where they are known.
     """
-    from scipy.optimize import nnls
-
-    terms, squares = [], []
+    normal, across, trials = [], [], 0
     for index in range(len(groups)):
         sequences = groups.load(index).to(next(network.parameters()).device)
-        kept = (sequences.valid & torch.isfinite(sequences.across).all(-1)).cpu()
-        value, moved = shear_course(network, sequences)[kept].unbind(1)
-        terms.append(torch.stack([torch.ones_like(value), value.square(), moved.square()], -1))
-        squares.append((sequences.across.cpu()[kept] - value).square())
-    inputs, errors = torch.cat(terms).double(), torch.cat(squares).double()
-    for axes in ([0, 1], [2]):
-        rows = inputs[:, axes].reshape(-1, 3).numpy()
-        # Shares of all errors: by normal equations, as there are millions of rows.
-        found, _ = nnls(rows.T @ rows, rows.T @ errors[:, axes].reshape(-1).numpy())
-        network.shear.deviation[axes] = torch.from_numpy(found**0.5).float().to(network.shear.unit)
+        found, kept = live_course(network, sequences), sequences.valid.cpu()
+        force, moved, known = (
+            each[kept] for each in (found.force, found.moved, sequences.force.cpu())
+        )
+        normal.append(torch.stack([force, moved, force - known], -1))
+        trials += kept.shape[1]
+        if network.config.shear:
+            kept = kept & torch.isfinite(sequences.across.cpu()).all(-1)
+            value, moved = found.across[kept].unbind(1)
+            across.append(torch.stack([value, moved, value - sequences.across.cpu()[kept]], -1))
+    fitted = _floor_and_shares(torch.cat(normal).double().numpy(), trials)
+    network.deviation.copy_(torch.from_numpy(fitted))
+    if across and len(sideways := torch.cat(across).double().numpy()):
+        for axes in ([0, 1], [2]):
+            fitted = _floor_and_shares(sideways[:, axes].reshape(-1, 3), trials)
+            network.shear.deviation[axes] = torch.from_numpy(fitted).float().to(network.shear.unit)
+
+
+def _floor_and_shares(rows: NDArray[np.float64], trials: int) -> NDArray[np.float64]:
+    """Return floor and shares by rows of value, change by events, and error.
+
+    The likelihood is Laplacian, as errors have heavy tails; the scale is fitted afterwards, so that
+    one deviation to both sides covers `COVERED`. Errors within one trial are correlated: n trials
+    determine the scale like n independent draws, and a further trial spreads like Student's t with
+    n degrees of freedom.
+    """
+    from scipy.optimize import minimize
+    from scipy.stats import t as student
+
+    rows = rows[:: -(-len(rows) // MOST_ROWS)]
+    squares, errors = rows[:, :2] ** 2, np.abs(rows[:, 2])
+    start = np.log([np.quantile(errors, 0.2) + 1e-4, 0.1, 0.3])
+
+    def deviation(logs: NDArray[np.float64]) -> NDArray[np.float64]:
+        floor, value, moved = np.exp(2.0 * logs)
+        return np.asarray(np.sqrt(floor + squares @ [value, moved]))
+
+    def loss(logs: NDArray[np.float64]) -> float:
+        found = deviation(logs)
+        return float((np.log(found) + errors / found).mean())
+
+    logs = minimize(loss, start, method='Nelder-Mead').x
+    few = float(student.ppf(0.5 * (1.0 + COVERED), trials))
+    scale = few * float(np.quantile(errors / deviation(logs), COVERED))
+    return np.asarray(scale * np.exp(logs))
 
 
 def train_fger(
@@ -477,22 +428,17 @@ def train_fger(
         (FrameStage, 'frames', settings.frame_epochs, settings.frame_rate),
         (SequenceStage, 'recurrent', settings.recurrent_epochs, settings.recurrent_rate),
         (SequenceStage, 'joint', settings.joint_epochs, settings.joint_rate),
-        (DeviationStage, 'deviation', settings.deviation_epochs, settings.deviation_rate),
     ]
-    stages = [
-        kind(name, epochs, rate, model, groups, settings, checked)
-        for kind, name, epochs, rate in plan
-        if name != 'deviation' or config.deviation_size
-    ]
-    loop.run(stages)
+    loop.run(
+        [
+            kind(name, epochs, rate, model, groups, settings, checked)
+            for kind, name, epochs, rate in plan
+        ]
+    )
     network = model.network.eval()
     if config.reads_flow and start is None:
         # Not before: the stages would learn it back. A network to start from has been through it.
         share_convolutions(network, settings.convolution_share)
-    if config.deviation_size:
-        # Errors of trials that were trained on are too small to calibrate by.
-        calibrate_deviation(network, collect(network, checked or groups))
-    if learns_across:
-        held = checked if checked is not None and has_across(checked) else groups
-        calibrate_shear(network, held)
+    known = checked is not None and (not learns_across or has_across(checked))
+    calibrate_deviations(network, checked if known else groups)
     return network.cpu(), loop.progress.curves

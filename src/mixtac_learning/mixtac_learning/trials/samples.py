@@ -301,10 +301,8 @@ UNSEEN_BY_SAMPLES = {
     'mlp_size',
     'event_shortcut',
     'frame_context',
-    'deviation_size',
     'force_unit',
     'shear',
-    'correction_point',
     'history_windows',
 }
 """Fields of the configuration that do not change what a sample holds."""

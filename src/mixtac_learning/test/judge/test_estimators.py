@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from mixtac_fger.recurrent_network import EventGain
+from mixtac_fger.recurrent_network import EventGains
 from mixtac_learning.judge.estimators import stream, windows_of
 from mixtac_learning.train.frame_stage import stack
 from mixtac_learning.train.stages import estimate
@@ -23,9 +22,9 @@ def exact(monkeypatch):
     """Compare the live estimator with the batch network, which neither rounds nor learns."""
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
-    monkeypatch.setattr(EventGain, 'PRIOR_N', 1e6)
-    monkeypatch.setattr('mixtac_fger.fger_net.UNCONFIRMED_SHARE', 0.0)
-    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
+    monkeypatch.setattr(EventGains, 'PRIOR', (1.0, 0.0))
+    monkeypatch.setattr(EventGains, 'PRIOR_N', 1e6)
+    monkeypatch.setattr('mixtac_fger.recurrent_network.BLOW_N', 1e6)
 
 
 @pytest.mark.usefixtures('exact')
@@ -39,21 +38,14 @@ def test_streaming_equals_the_batch_network(model, network, config, trial):
     assert np.ptp(run.force) > 0.3
 
 
-@pytest.mark.usefixtures('exact')
-def test_deviations_are_those_of_the_batch_network(model, network, config, trial):
-    batch = stack([make_sample(config, trial)])
-    with torch.inference_mode():
-        course = network(
-            batch.event_features,
-            network.frame(batch.frame_inputs, batch.frame_moments),
-            batch.slots,
-            network.initial_state(1),
-        )
-        expected = network.deviation(course.hidden, course.force, course.moved)
-    deviation = stream(model, trial).deviation
-    # Where nothing has moved, the contact of the moments is that of rounding.
-    assert deviation == pytest.approx(expected[:, 0].numpy(), rel=5e-4)
-    assert deviation.min() > 0
+def test_the_deviation_is_made_of_floor_shares_and_what_is_pending(model, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
+    floor, share = 0.2, 0.3
+    tensors = {**model.tensors, 'deviation': np.array([floor, share, 0.0], np.float32)}
+    run = stream(replace(model, tensors=tensors), trial)
+    np.testing.assert_allclose(run.deviation, np.hypot(floor, share * run.force), rtol=1e-6)
+    tensors['deviation'] = np.zeros(3, np.float32)
+    assert stream(replace(model, tensors=tensors), trial).deviation is None
 
 
 def test_nothing_is_estimated_where_packets_were_lost(model, trial):
