@@ -439,6 +439,7 @@ def train_fger(
     if config.reads_flow and start is None:
         # Not before: the stages would learn it back. A network to start from has been through it.
         share_convolutions(network, settings.convolution_share)
-    known = checked is not None and (not learns_across or has_across(checked))
-    calibrate_deviations(network, checked if known else groups)
+    if checked is None or (learns_across and not has_across(checked)):
+        checked = groups
+    calibrate_deviations(network, checked)
     return network.cpu(), loop.progress.curves
