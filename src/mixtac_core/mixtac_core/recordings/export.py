@@ -148,7 +148,9 @@ def _write_csv(folder: Path, _info: RecordingInfo, parts: TableParts) -> None:
                 files[name].write(','.join(f'"{each}"' for each in single) + '\n')
             formats = {'f': '%.9g' if name == 'imu' else '%.17g', 'U': '%s'}
             form = ','.join(formats.get(each.dtype.kind, '%d') for each in single.values()) + '\n'
-            rows = zip(*(each.tolist() for each in single.values()), strict=True)
+            # A minus before a zero goes.
+            plain = (each + 0.0 if each.dtype.kind == 'f' else each for each in single.values())
+            rows = zip(*(each.tolist() for each in plain), strict=True)
             files[name].writelines(form % row for row in rows)
 
 

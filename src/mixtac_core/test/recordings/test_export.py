@@ -43,6 +43,7 @@ SAMPLES = InertialSamples(
     RNG.normal(0, 2, (40, 3)),
     RNG.normal(40, 1, 40),
 )
+SAMPLES.acceleration[0, 1] = -0.0
 KINDS = [EdgeKind.EXTERNAL_RISING, EdgeKind.EXTERNAL_FALLING, EdgeKind.GENERATOR_RISING]
 EDGES = Edges(START_US + np.array([5, 70, 900]), np.array(KINDS, np.uint8))
 STAMPS_NS = 1000 * START_US + 5_000_000_000 + 1_250_000 * np.arange(60)
@@ -114,6 +115,7 @@ def test_csv_has_units_and_every_row(bag: Path, tmp_path: Path):
     assert heading[:2] == ['t [us, camera clock]', 'x [px]']
     expected = np.column_stack([EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.polarity])
     assert [[int(value) for value in row] for row in rows] == expected.tolist()
+    assert (tmp_path / 'out' / 'imu.csv').read_text().splitlines()[1].split(',')[2] == '0'
     pictures = sorted((tmp_path / 'out' / 'frames').glob('*.png'))
     image = cv2.imread(str(pictures[0]), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(image, FRAMES[0].image << 6)
