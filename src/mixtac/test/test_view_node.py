@@ -151,7 +151,7 @@ def packet(sequence: int) -> EventPacket:
         np.array([7], np.uint16),
         np.array([True]),
     )
-    encoded = encode(one)
+    encoded = encode(one, complete_until=sequence * 1000)
     message = EventPacket(width=346, height=260, seq=sequence, encoding=encoded.encoding)
     message.time_base = encoded.time_base
     message.events.frombytes(encoded.payload)

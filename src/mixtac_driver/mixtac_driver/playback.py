@@ -22,11 +22,10 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_core.events.windows import RESTART_US
-from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.camera_stream import Recording, open_recording
 from mixtac_core.recordings.recording import (
     Piece,
     ReadCounters,
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,

@@ -124,8 +124,6 @@ class Packetizer:
 
 RESTART_US: Final = 1_000_000
 """A larger step back in time [us] is a clock that was reset, not a late packet."""
-MOST_HELD: Final = 1 << 22
-"""Events of windows that do not close, beyond which they are dropped: time stands still."""
 
 
 class WindowSlicer:
@@ -137,7 +135,7 @@ class WindowSlicer:
 
     Attributes:
         width_us: Width of a window [us].
-        late_events: Events dropped because their window had been closed, or did not close.
+        late_events: Events dropped because their window had been closed.
 
     Args:
         width_us: Width of a window [us], positive.
@@ -165,10 +163,6 @@ class WindowSlicer:
         following = self._begin(min(first, complete_until))
         fresh = self._in_time(events, following * self.width_us)
         if len(fresh):
-            held_before = sum(map(len, self._pending))
-            if held_before > MOST_HELD:
-                self.late_events += held_before
-                self._pending = []
             self._pending.append(fresh)
         closed = complete_until // self.width_us
         if closed <= following:

@@ -22,8 +22,6 @@ from mixtac_core.events.errors import MixtacError
 
 Pixels = NDArray[np.uint8 | np.uint16]
 
-MOST_PIXELS = 1 << 22
-"""Larger images are refused: the work on a message is bounded."""
 _MOSAICS = ('bayer_rggb', 'bayer_grbg', 'bayer_gbrg', 'bayer_bggr')
 _LAYOUTS = {'8UC1': ('mono', 8), '16UC1': ('mono', 16), 'rgb8': ('rgb', 8), 'bgr8': ('bgr', 8)}
 _LAYOUTS |= {f'{kind}{bits}': (kind, bits) for kind in ('mono', *_MOSAICS) for bits in (8, 16)}
@@ -54,12 +52,10 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
     data = np.frombuffer(message.data, np.uint8)
-    sound = 0 < row <= step and 0 < step * height <= data.size
-    if not sound or width * height > MOST_PIXELS:
+    if not (0 < row <= step and 0 < step * height <= data.size):
         raise ImageConversionError(
             f'image of {width} x {height} {message.encoding}, {step} bytes a row, holds '
-            f'{data.size} bytes: the publisher must fill {row} bytes a row, and at most '
-            f'{MOST_PIXELS} pixels'
+            f'{data.size} bytes: the publisher must fill {row} bytes a row'
         )
     data.flags.writeable = False
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])

@@ -18,12 +18,14 @@ import struct
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import StreamDecoder
-from mixtac_core.events.packets import CodecError, SequenceCounter
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.packets import SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings import messages as convert
@@ -37,7 +39,6 @@ from mixtac_core.recordings.recording import (
     DamagedRecordingError,
     Piece,
     ReadCounters,
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,
@@ -46,7 +47,7 @@ from mixtac_core.recordings.recording import (
     file_format,
     not_a_recording,
 )
-from mixtac_core.recordings.table_recording import open_table_recording
+from mixtac_core.recordings.table_recording import FileRecording, open_table_recording
 from mixtac_core.recordings.tables import HDF5_FILE, TableOptions
 
 OTHER_CLOCK_US = 60_000_000
@@ -203,7 +204,9 @@ class BagRecording:
         events += bag.topics(*EVENT_ARRAYS) if bag.is_ros1 else []
         self._events = choose(events, selection.events, kind='events', path=path)
         beside = self._events or ''
-        images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
+        images = self._readable(
+            topics.IMAGE_RAW.type_name, selection.image, lambda m: convert.read_frame(m, 0, (0, 0))
+        )
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
         samples = bag.topics(topics.IMU.type_name)
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
@@ -228,7 +231,7 @@ class BagRecording:
             try:
                 check(self._first(topic))
                 found.append(topic)
-            except (RecordingError, CodecError) as error:
+            except MixtacError as error:
                 if topic == wanted:
                     raise RecordingError(f'{self._path}, {topic}: {error}') from error
                 self._unreadable.append(f'{topic} is left out: {error}')
@@ -283,7 +286,7 @@ class BagRecording:
         try:
             piece = self._converted(topic, message)
             piece.check()
-        except (RecordingError, CodecError) as error:
+        except MixtacError as error:
             raise RecordingError(f'{self._path}, {topic}: {error}') from error
         return piece
 
@@ -307,6 +310,10 @@ class BagRecording:
             return Piece(t_us, t_us, advances=False, edges=convert.read_edges(message, t_us))
         frame = convert.read_frame(message, t_us, self._corner)
         return Piece(t_us, t_us, advances=advances, frames=(frame,))
+
+
+Recording: TypeAlias = BagRecording | FileRecording
+"""A recording, open for reading."""
 
 
 def _stamp_us(message: Message) -> int:

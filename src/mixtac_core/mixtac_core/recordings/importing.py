@@ -26,8 +26,8 @@ from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, check_new, typestore
 from mixtac_core.recordings.bag_writer import McapBag
-from mixtac_core.recordings.camera_stream import open_recording
-from mixtac_core.recordings.recording import Recording, RecordingError, Selection
+from mixtac_core.recordings.camera_stream import Recording, open_recording
+from mixtac_core.recordings.recording import RecordingError, Selection
 from mixtac_core.recordings.summary import Counts
 from mixtac_core.recordings.table_recording import table_wrenches
 from mixtac_core.recordings.tables import TableOptions

@@ -8,10 +8,10 @@ The table `FORMATS` lists the known file formats.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,29 +221,6 @@ class ReadCounters:
 
 Wrenches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 """Stamps [ns, clock of the topic], int64 [n], and force [N] and torque [N m], float64 [n, 6]."""
-
-
-class Recording(Protocol):
-    """A recording, open for reading."""
-
-    counters: ReadCounters
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Description; its damage is what has been found so far."""
-
-    def pieces(self) -> Generator[Piece, None, None]:
-        """Yield the recorded data in order from the beginning, reading as they are needed.
-
-        Raises:
-            RecordingError: The data are damaged.
-        """
-
-    def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return the recorded forces by the topic or table that holds them."""
-
-    def close(self) -> None:
-        """Close the file."""
 
 
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:

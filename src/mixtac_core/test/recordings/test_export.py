@@ -15,7 +15,7 @@ from recording_samples import START_US, Bag, assert_equal, read, some_events
 from mixtac_core.events.readings import EdgeKind, Edges, Frame, InertialSamples
 from mixtac_core.node.files import FileError
 from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
-from mixtac_core.recordings.bag import BagFile, blank_message
+from mixtac_core.recordings.bag import BagFile
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.export import WRITERS, export_recording
 from mixtac_core.recordings.importing import StreamWriter, import_recording
@@ -157,23 +157,6 @@ def test_an_existing_folder_and_an_unknown_format_are_refused(bag: Path, tmp_pat
         export_recording(bag, 'npz', tmp_path)
     with pytest.raises(RecordingError):
         export_recording(bag, 'mat', tmp_path / 'other')
-
-
-def test_topics_of_like_names_have_files_of_their_own(tmp_path: Path):
-    topics = {'/a/b': 1.0, '/a_b': 2.0, '/events': 3.0, '/ft/sensor_wrench': 4.0}
-    topics |= {'/ft_sensor/wrench': 5.0}
-    kind = REFERENCE_WRENCH.type_name
-    with Bag(tmp_path / 'bag') as made:
-        made.events(some_events())
-        for topic, newtons in topics.items():
-            message = blank_message(kind)
-            message.wrench.force.z = newtons
-            made.write(topic, kind, START_US, message)
-    export_recording(tmp_path / 'bag', 'npz', tmp_path / 'out')
-    files = {path.stem: np.load(path) for path in (tmp_path / 'out').glob('*.npz')}
-    assert len(files.pop('events')['x']) == len(some_events())
-    assert sorted(each['force'][0, 2] for each in files.values()) == list(topics.values())
-    assert files['ft_sensor_wrench']['force'][0, 2] == 5.0
 
 
 def test_packets_that_are_missing_are_reported(tmp_path: Path):
