@@ -23,7 +23,7 @@ from mixtac_core.events.arrays import Events, Floats
 from mixtac_core.node.files import ShareError, share, write_text
 from mixtac_driver.errors import DriverError
 from mixtac_driver.parameters import DeviceParameters
-from mixtac_driver.pixels import event_buffers, move_events
+from mixtac_driver.pixels import move_events
 
 EQUIDISTANT = 'equidistant'
 PLUMB_BOB = 'plumb_bob'
@@ -359,7 +359,7 @@ class CalibratedCamera:
         """Return the events that fall inside the rectified image, at the nearest pixel of it."""
         if self._table is None:
             return Events.empty()
-        return move_events(events, self._table, event_buffers(len(events)))
+        return move_events(events, self._table, Events.empty(len(events)).fields)
 
     def save(self, info: Any) -> Path:  # noqa: ANN401
         """Check a calibration, write it to its file, use it from now on, and return the file.

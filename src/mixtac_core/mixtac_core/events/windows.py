@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
@@ -168,7 +167,7 @@ class WindowSlicer:
         if closed <= following:
             return []
         held = Events.concatenate(self._pending)
-        if not _ordered(held.t):
+        if (held.t[1:] < held.t[:-1]).any():
             held = held[np.argsort(held.t, kind='stable')]
         self._next = closed
         begin, parts = 0, []
@@ -200,11 +199,10 @@ class WindowSlicer:
         return self._next
 
     def _in_time(self, events: Events, start_us: int) -> Events:
-        if len(events) == 0 or (events.t[0] >= start_us and _ordered(events.t)):
-            return events
         keep = events.t >= start_us
-        self.late_events += len(events) - int(np.count_nonzero(keep))
-        return events[keep]
+        late = len(events) - int(np.count_nonzero(keep))
+        self.late_events += late
+        return events[keep] if late else events
 
     def _to_close(self, held: Events, first: int, end: int) -> list[int]:
         """Return the windows in ``[first, end)`` to close: the latest ones, and all with events."""
@@ -213,11 +211,3 @@ class WindowSlicer:
             return list(range(first, end))
         before = held.between(first * self.width_us, near * self.width_us).t // self.width_us
         return [*np.unique(before).tolist(), *range(near, end)]
-
-
-@njit(cache=True, nogil=True)
-def _ordered(t: NDArray[np.int64]) -> bool:
-    for index in range(1, len(t)):  # noqa: SIM110 - numba has no all()
-        if t[index] < t[index - 1]:
-            return False
-    return True

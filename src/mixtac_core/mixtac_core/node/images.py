@@ -115,23 +115,12 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     message.encoding = encoding
     message.is_bigendian = sys.byteorder == 'big'
     message.step = image.nbytes // image.shape[0]
-    set_octets(message, 'data', np.ascontiguousarray(image).view(np.uint8).ravel())
-
-
-def set_octets(message: Any, name: str, octets: Any) -> None:  # noqa: ANN401
-    """Set an empty field of type `uint8[]` in a message of rclpy or rosbags.
-
-    Args:
-        message: The message.
-        name: Name of the field.
-        octets: One-dimensional array, or anything with a buffer.
-    """
-    held = getattr(message, name)
-    if isinstance(held, array):
-        # Assigning to the field checks every element; this is one copy.
-        held.frombytes(octets)
+    octets: Any = np.ascontiguousarray(image).view(np.uint8).ravel()
+    if isinstance(message.data, array):
+        # rclpy checks every element that is assigned; this is one copy.
+        message.data.frombytes(octets)
     else:
-        setattr(message, name, np.frombuffer(octets, np.uint8))
+        message.data = octets
 
 
 def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401

@@ -27,7 +27,6 @@ from mixtac_core.events.readings import STANDARD_GRAVITY, EdgeKind
 from mixtac_core.recordings.messages import left_aligned, ten_bits
 from mixtac_core.recordings.recording import (
     AEDAT4_FILE,
-    AEDAT4_SUFFIX,
     NONE,
     DamagedRecordingError,
     ReadCounters,
@@ -136,10 +135,6 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
         RecordingError: dv-processing is missing, or there is no such camera.
         DamagedRecordingError: The file cannot be read, or holds no data of a camera.
     """
-    if path.suffix != AEDAT4_SUFFIX:
-        raise RecordingError(
-            f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
-        )
     camera = '' if selection.events == NONE else selection.events
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
     streams: Streams = {}

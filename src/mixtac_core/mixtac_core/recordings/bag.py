@@ -315,8 +315,6 @@ class McapFile:
             elif isinstance(record, Message):
                 counts[record.channel_id] += 1
                 times.append(record.log_time)
-        if orphans := sum(counts[number] for number in counts.keys() - channels):
-            self.notes[-1] = f'{orphans} messages of {self.path.name} belong to no topic'
         if not channels:
             raise DamagedRecordingError('; '.join(self.notes.values()) or 'it holds no topics')
         self.start_time, self.end_time = min(times, default=0), max(times, default=-1) + 1

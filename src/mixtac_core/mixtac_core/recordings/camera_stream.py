@@ -71,8 +71,6 @@ class EventArray:
         width: Columns of the sensor.
         height: Rows of the sensor.
         events: Events inside the sensor, sorted by time [us].
-        outside: Events left out because they lie outside the sensor.
-        unsorted: Events that were older than the one before.
     """
 
     seq: int
@@ -80,15 +78,14 @@ class EventArray:
     width: int
     height: int
     events: Events
-    outside: int
-    unsorted: int
 
 
-def read_event_array(data: bytes) -> EventArray:
+def read_event_array(data: bytes, counters: ReadCounters) -> EventArray:
     """Return the content of a serialised message.
 
     Args:
         data: The message, as ROS 1 serialises it.
+        counters: Counts events that are left out or sorted.
 
     Raises:
         DamagedRecordingError: It is cut off.
@@ -106,8 +103,9 @@ def read_event_array(data: bytes) -> EventArray:
     rows = inside[order]
     events = Events(t[order], rows['x'].copy(), rows['y'].copy(), rows['polarity'] != 0)
     stamp_us = seconds * 1_000_000 + nanoseconds // 1000
-    unsorted = int(np.count_nonzero(np.diff(t) < 0))
-    return EventArray(seq, stamp_us, width, height, events, count - len(inside), unsorted)
+    counters.events_outside += count - len(inside)
+    counters.events_unsorted += int(np.count_nonzero(np.diff(t) < 0))
+    return EventArray(seq, stamp_us, width, height, events)
 
 
 class BagRecording:
@@ -191,7 +189,8 @@ class BagRecording:
             if is_image and not stamp_to_us(message.header.stamp):
                 self.counters.frames_without_time += 1
             else:
-                yield topic, read_event_array(message) if topic in raw else message
+                is_array = topic in raw
+                yield topic, read_event_array(message, self.counters) if is_array else message
 
     def _first(self, topic: str | None) -> Message:
         for _, message in self._messages(topic):
@@ -294,8 +293,6 @@ class BagRecording:
         if topic == self._events:
             self.counters.packets_missing += self._sequence.update(message.seq)
             if isinstance(message, EventArray):
-                self.counters.events_outside += message.outside
-                self.counters.events_unsorted += message.unsorted
                 t = message.events.t if len(message.events) else [message.stamp_us]
                 return Piece(int(t[0]), int(t[-1]), advances=True, events=message.events)
             packet = self._decoder.decode(message)

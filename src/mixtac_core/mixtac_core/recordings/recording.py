@@ -8,8 +8,8 @@ The table `FORMATS` lists the known file formats.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
-from mixtac_core.events.windows import RESTART_US
 
 
 class RecordingError(MixtacError):
@@ -221,37 +220,6 @@ class ReadCounters:
 
 Wrenches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 """Stamps [ns, clock of the topic], int64 [n], and force [N] and torque [N m], float64 [n, 6]."""
-
-
-def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
-    """Yield pieces without the data before a time.
-
-    Once a recorded clock was reset, everything counts as later. What was recorded between the reset
-    and the first packet of the new clock is left out.
-
-    Args:
-        pieces: Pieces in recorded order.
-        from_us: The time [us, recorded camera clock].
-    """
-    latest_us, reset = 0, False
-    for piece in pieces:
-        behind = piece.until_us < latest_us - RESTART_US
-        if piece.advances:
-            reset |= behind
-            latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
-        elif behind:
-            continue
-        if reset or piece.start_us >= from_us:
-            yield piece
-        elif piece.until_us >= from_us:
-            yield replace(
-                piece,
-                start_us=from_us,
-                events=piece.events[piece.events.t >= from_us],
-                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-                imu=piece.imu[piece.imu.t >= from_us],
-                edges=piece.edges[piece.edges.t >= from_us],
-            )
 
 
 NONE = 'none'

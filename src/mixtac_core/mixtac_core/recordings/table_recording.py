@@ -254,30 +254,24 @@ def _checked_rows(
     """
     first = 1
     for block in read():
-        rows = _needed_rows(path, name, block, first)
-        count, given = len(rows[next(iter(rows))]), block.unit or unit
-        first += count
-        times = rows.keys() & set(TIMES)
-        for key in (*('xy' if name == 'events' else ''), *(() if given else times)):
-            fractions = rows[key] % 1 != 0
-            if fractions.any():
-                wanted = (
-                    'pixels, without rectification' if key in 'xy' else 'their unit: --time-unit s'
-                )
-                raise RecordingError(
-                    f'{path}: {name} has {key} = {rows[key][fractions][0]}, no whole number',
-                    remedy=f'give {wanted}',
-                )
-        for key in times:
+        rows, given = _needed_rows(path, name, block, first), block.unit or unit
+        for key in rows.keys() & set(TIMES):
+            if not given:
+                remedy = 'give the unit of the times: --time-unit s'
+                _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
+        for key in 'xy' if name == 'events' else '':
+            remedy = 'give whole pixels, without rectification'
+            _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
         if name == 'events':
             _check_events(path, rows, size)
             rows['polarity'] = rows['polarity'] > 0
         if name == 'frames':
             rows['image'] = _grey(path, rows['image'])
             rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
-        if count:
+        if count := len(rows[next(iter(rows))]):
             yield rows
+        first += count
 
 
 def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
@@ -297,18 +291,27 @@ def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
                 f'{path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
                 remedy=f'store numbers in {dimensions} dimensions',
             )
-        finite = np.isfinite(column)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise RecordingError(
-                f'{path}: {name} has {key} = {column[row]} in row {first + row}',
-                remedy='write a finite number, or remove the row',
-            )
+        remedy = 'write a finite number, or remove the row'
+        _refuse(~np.isfinite(column), f'{path}: {name}', key, column, first, remedy)
     return rows
+
+
+def _refuse(
+    bad: NDArray[np.bool_], place: str, key: str, column: NDArray[Any], first: int, remedy: str
+) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise RecordingError(
+            f'{place} has {key} = {column[row]} in row {first + row}', remedy=remedy
+        )
 
 
 def _scaled(place: str, t: NDArray[Any], unit: str, wanted_ns: int) -> NDArray[np.int64]:
     """Return times in the wanted unit; those with fractions are rounded."""
+    if unit not in TIME_UNITS:
+        raise RecordingError(
+            f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(TIME_UNITS)}'
+        )
     unit_ns = TIME_UNITS[unit]
     if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
         raise RecordingError(

@@ -109,14 +109,6 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     assert summarise(path).events['events'].lost.events_outside == len(EVENTS) - len(inside)
 
 
-def test_a_suffix_in_capitals_is_refused_with_the_name_to_give(file, tmp_path):
-    path = tmp_path / 'X.AEDAT4'
-    path.write_bytes(file.read_bytes())
-    with pytest.raises(RecordingError) as error:
-        read(path)
-    assert 'X.aedat4' in error.value.remedy
-
-
 @pytest.mark.parametrize('keep', [0.0, 0.01, 0.9])
 def test_a_file_that_was_cut_off_gives_one_line_with_its_name(file, tmp_path, keep):
     whole = file.read_bytes()

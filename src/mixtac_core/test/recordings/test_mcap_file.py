@@ -118,18 +118,6 @@ def test_a_damaged_chunk_costs_its_own_messages_only(mcap, tmp_path):
     assert contents(tmp_path / 'repaired') == (found, '')
 
 
-def test_messages_of_no_topic_are_counted(mcap, tmp_path):
-    path, _ = mcap
-    data = bytearray(path.read_bytes())
-    ends = list(chunk_ends(bytes(data)))
-    data[ends[0][0] // 2] ^= 1
-    damaged = tmp_path / 'damaged.mcap'
-    damaged.write_bytes(data[: ends[2][0]])
-    with pytest.raises(DamagedRecordingError) as error:
-        BagFile(damaged)
-    assert str(ends[1][1] + ends[2][1]) in str(error.value)
-
-
 def test_zeros_in_a_chunk_without_a_checksum_are_noticed(tmp_path):
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         sent = fill(writer, 20)
