@@ -193,15 +193,15 @@ class ReadCounters:
         events_outside: Events left out because they lie outside the sensor.
         events_unsorted: Events that were older than the one before in their message; sorted.
         frames_without_time: Frames left out because their stamp is zero.
-        frames_not_read: Frames in AEDAT 2, whose events only are read.
-        other_words: Words of frames, inertial samples and edges in AEDAT 2.
+        frames_incomplete: Frames in AEDAT 2 of which pixels are missing; left out.
+        other_words: Words of inertial samples and edges in AEDAT 2.
     """
 
     packets_missing: int = 0
     events_outside: int = 0
     events_unsorted: int = 0
     frames_without_time: int = 0
-    frames_not_read: int = 0
+    frames_incomplete: int = 0
     other_words: int = 0
 
     def warnings(self) -> list[str]:
@@ -211,9 +211,8 @@ class ReadCounters:
             'events_outside': 'events outside of the sensor left out',
             'events_unsorted': 'events out of order in their message, sorted',
             'frames_without_time': 'images with the stamp zero left out',
-            'frames_not_read': 'frames left out: export them with jAER',
-            'other_words': 'words of frames, inertial samples and edges left out: of AEDAT 2 only'
-            ' events are read',
+            'frames_incomplete': 'frames left out because pixels are missing',
+            'other_words': 'words of inertial samples and edges of AEDAT 2 left out',
         }
         return [f'{getattr(self, key)} {text}' for key, text in texts.items() if getattr(self, key)]
 

@@ -85,13 +85,15 @@ class FileRecording:
     ) -> None:
         self.counters = counters or ReadCounters()
         self._streams, self._forces = streams, forces
-        starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
+        first = {name: next(part, None) for name, part in zip(streams, self._parts(), strict=True)}
+        self._streams = {name: read for name, read in streams.items() if first[name]}
+        starts = [piece.start_us for piece in first.values() if piece]
         if not starts:
             raise RecordingError(
                 f'{info.path} holds nothing: no events and no frames',
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
-        contents = tuple((name, name) for name in streams)
+        contents = tuple((name, name) for name in self._streams)
         self.info = replace(info, start_us=min(starts), contents=contents)
 
     def pieces(self) -> Generator[Piece, None, None]:
