@@ -260,12 +260,16 @@ def _block(matrix: Floats) -> dict[str, Any]:
     return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
 
 
-def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str:
-    """Return the text of a file.
+def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
+    """Write a file, and its folder if necessary; readers never see a partial file.
 
     Args:
+        path: File to write; an existing file is replaced.
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
+
+    Raises:
+        FileError: The file cannot be written.
     """
     document = {
         'image_width': calibration.width,
@@ -278,21 +282,8 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         'projection_matrix': _block(calibration.projection),
     }
     lines = [f'# {line}\n' for line in comment.splitlines()]
-    return ''.join(lines) + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-
-
-def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
-    """Write a file, and its folder if necessary; readers never see a partial file.
-
-    Args:
-        path: File to write; an existing file is replaced.
-        calibration: The calibration.
-        comment: Lines to put at the top, without `#`.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
-    write_text(path, format_camera_info(calibration, comment))
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+    write_text(path, ''.join(lines) + text)
 
 
 class CalibratedCamera:

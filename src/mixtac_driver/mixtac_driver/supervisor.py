@@ -119,8 +119,7 @@ class Supervisor:
     Attributes:
         state: What it is doing.
         error: Why there is no stream, empty while there is one.
-        failures: Times that opening or streaming ended with an error.
-        failures_by_kind: The same by the name of the error.
+        failures_by_kind: Times that opening or streaming ended with an error, by its name.
         reconnects: Times that a stream came back after one had died.
         outage_s: How long the latest of these took from the last batch to the next [s].
         finished: Set when the thread ends by itself or is stopped.
@@ -138,7 +137,6 @@ class Supervisor:
     ) -> None:
         self.state = State.CONNECTING
         self.error = ''
-        self.failures = 0
         self.failures_by_kind: Counter[str] = Counter()
         self.reconnects = 0
         self.outage_s = 0.0
@@ -245,7 +243,6 @@ class Supervisor:
         self._reported = 0
 
     def _note_failure(self, error: MixtacError) -> None:
-        self.failures += 1
         self.failures_by_kind[type(error).__name__] += 1
         self.error = str(error)
         if self._reported == len(self._errors):
