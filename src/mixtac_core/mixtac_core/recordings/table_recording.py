@@ -259,11 +259,11 @@ def _checked_rows(
         rows, given = _needed_rows(path, name, block, first), block.unit or unit
         for key in rows.keys() & set(TIMES):
             if not given:
-                remedy = 'give the unit of the times: --time-unit s'
+                remedy = 'times are whole microseconds without --time-unit: give it, such as s'
                 _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
         for key in 'xy' if name == 'events' else '':
-            remedy = 'give whole pixels, without rectification'
+            remedy = 'pixels are whole numbers: give them without rectification'
             _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
         if name == 'events':
             _check_events(path, rows, size)
