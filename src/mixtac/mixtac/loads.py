@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac_core.node.process import GraphError
-from mixtac_core.recordings.recording import Recording
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.force_calibration import (
     PRESS,
@@ -42,6 +41,7 @@ from mixtac_fger.weights import Model
 
 if TYPE_CHECKING:
     from mixtac.monitor_node import Monitor
+    from mixtac_core.recordings.camera_stream import Recording
 
 F64 = NDArray[np.float64]
 T = TypeVar('T')

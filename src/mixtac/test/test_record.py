@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosbags.highlevel import AnyReader
 
 from mixtac.record import TopicMeter, verdict
-from mixtac_core.node.base_node import QOS_EVENTS
+from mixtac_core.node.base_node import qos
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile
 
@@ -40,7 +40,7 @@ def publish_all(graph, bag: Path) -> None:
     """Publish packets until they are recorded, some more, and the state of a simulated driver."""
     from event_camera_msgs.msg import EventPacket
 
-    publisher = graph.node.create_publisher(EventPacket, '/here/events', QOS_EVENTS)
+    publisher = graph.node.create_publisher(EventPacket, '/here/events', qos(EVENTS))
     state = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
     graph.spin_until(state.get_subscription_count)
     index, last = 0, None

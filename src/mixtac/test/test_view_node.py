@@ -40,10 +40,11 @@ from mixtac.view_node import (
 )
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
-from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
+from mixtac_core.node.base_node import QOS_FORCE, QOS_SENSOR, qos
 from mixtac_core.node.graph import node
 from mixtac_core.node.images import fill
 from mixtac_core.node.process import GraphError
+from mixtac_core.node.topics import EVENTS
 from mixtac_msgs.msg import SlipState
 
 NAME = 'mixtac/view'
@@ -151,7 +152,7 @@ def packet(sequence: int) -> EventPacket:
         np.array([7], np.uint16),
         np.array([True]),
     )
-    encoded = encode(one)
+    encoded = encode(one, complete_until=sequence * 1000)
     message = EventPacket(width=346, height=260, seq=sequence, encoding=encoded.encoding)
     message.time_base = encoded.time_base
     message.events.frombytes(encoded.payload)
@@ -163,7 +164,7 @@ class Feeder:
 
     def __init__(self, node) -> None:
         create = node.create_publisher
-        self.events = create(EventPacket, '/mixtac/events', QOS_EVENTS)
+        self.events = create(EventPacket, '/mixtac/events', qos(EVENTS))
         self.image = create(Image, '/mixtac/image_raw', QOS_SENSOR)
         self.force = create(WrenchStamped, '/mixtac/force', QOS_FORCE)
         self.slip = create(SlipState, '/mixtac/slip', QOS_FORCE)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,7 +15,6 @@ from typing import Any
 
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.events.readings import DecodedBatch
-from mixtac_core.node.process import exact_sleeps
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
@@ -362,3 +363,15 @@ class Davis346:
         early_s = (self.clock.to_host_ns(due_us) - time.time_ns()) / 1e9
         if early_s > 0.0:
             time.sleep(min(early_s, LONGEST_HELD_US / 1e6))
+
+
+_SET_TIMER_SLACK = 29
+"""Number of this option of `prctl`."""
+_SLACK_NS = 1000
+"""Longest extension of a sleep [ns]."""
+
+
+def exact_sleeps() -> None:
+    """Have sleeps of the calling thread end on time: Linux lets them last up to 50 us longer."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)

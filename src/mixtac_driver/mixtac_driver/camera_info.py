@@ -23,7 +23,7 @@ from mixtac_core.events.arrays import Events, Floats
 from mixtac_core.node.files import ShareError, share, write_text
 from mixtac_driver.errors import DriverError
 from mixtac_driver.parameters import DeviceParameters
-from mixtac_driver.pixels import event_buffers, move_events
+from mixtac_driver.pixels import move_events
 
 EQUIDISTANT = 'equidistant'
 PLUMB_BOB = 'plumb_bob'
@@ -260,12 +260,16 @@ def _block(matrix: Floats) -> dict[str, Any]:
     return {'rows': rows, 'cols': columns, 'data': matrix.ravel().tolist()}
 
 
-def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str:
-    """Return the text of a file.
+def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
+    """Write a file, and its folder if necessary; readers never see a partial file.
 
     Args:
+        path: File to write; an existing file is replaced.
         calibration: The calibration.
         comment: Lines to put at the top, without `#`.
+
+    Raises:
+        FileError: The file cannot be written.
     """
     document = {
         'image_width': calibration.width,
@@ -278,21 +282,8 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         'projection_matrix': _block(calibration.projection),
     }
     lines = [f'# {line}\n' for line in comment.splitlines()]
-    return ''.join(lines) + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-
-
-def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
-    """Write a file, and its folder if necessary; readers never see a partial file.
-
-    Args:
-        path: File to write; an existing file is replaced.
-        calibration: The calibration.
-        comment: Lines to put at the top, without `#`.
-
-    Raises:
-        FileError: The file cannot be written.
-    """
-    write_text(path, format_camera_info(calibration, comment))
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+    write_text(path, ''.join(lines) + text)
 
 
 class CalibratedCamera:
@@ -359,7 +350,7 @@ class CalibratedCamera:
         """Return the events that fall inside the rectified image, at the nearest pixel of it."""
         if self._table is None:
             return Events.empty()
-        return move_events(events, self._table, event_buffers(len(events)))
+        return move_events(events, self._table, Events.empty(len(events)).fields)
 
     def save(self, info: Any) -> Path:  # noqa: ANN401
         """Check a calibration, write it to its file, use it from now on, and return the file.

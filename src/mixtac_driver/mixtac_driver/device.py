@@ -135,7 +135,7 @@ def find_camera(
 
 
 def _all_cameras(backend: Any, device: str) -> list[Any]:  # noqa: ANN401
-    ids = {model.usb_id for model in models_for(device)}
+    ids = {(model.vendor, model.product) for model in models_for(device)}
     try:
         return list(
             usb.core.find(
@@ -181,7 +181,7 @@ def _none_found(device: str) -> NoCameraError:
         return NoCameraError(
             f'no camera is behind device {device!r}', remedy='start the program that serves it'
         )
-    ((vendor, product),) = {model.usb_id for model in models_for(device)}
+    ((vendor, product),) = {(model.vendor, model.product) for model in models_for(device)}
     return NoCameraError(
         f'no {device.upper()} (USB {vendor:04x}:{product:04x}) is attached',
         remedy='plug one in, or use device:=virtual for the virtual sensor',

@@ -95,7 +95,7 @@ class PixelMask:
         if not self.pixels or not len(events):
             return events
         if not self._kept or len(self._kept[0]) < len(events):
-            self._kept = event_buffers(len(events))
+            self._kept = Events.empty(len(events)).fields
         kept = move_events(events, self._places, self._kept)
         self.dropped += len(events) - len(kept)
         return kept
@@ -148,11 +148,6 @@ def warm_up() -> None:
     PixelMask([(0, 0)], (1, 1)).keep(events)
 
 
-def event_buffers(n: int) -> tuple[NDArray[Any], ...]:
-    """Return arrays for n events: times, columns, rows and polarities."""
-    return tuple(np.empty(n, dtype) for dtype in (np.int64, np.uint16, np.uint16, np.bool_))
-
-
 def move_events(
     events: Events, places: NDArray[np.int32], buffers: tuple[NDArray[Any], ...]
 ) -> Events:
@@ -161,9 +156,9 @@ def move_events(
     Args:
         events: Events with any clock; those outside the table are dropped.
         places: [rows, columns], new place of each pixel as row * 65536 + column; -1 drops it.
-        buffers: `event_buffers` for at least as many events; the result is a view of them.
+        buffers: `Events.fields` of at least as many events; the result is a view of them.
     """
-    n = _move(places, (events.t, events.x, events.y, events.polarity), buffers)
+    n = _move(places, events.fields, buffers)
     return Events(*(each[:n] for each in buffers))
 
 

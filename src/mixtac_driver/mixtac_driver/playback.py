@@ -22,15 +22,13 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
 from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_core.events.windows import RESTART_US
-from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.camera_stream import Recording, open_recording
 from mixtac_core.recordings.recording import (
     Piece,
     ReadCounters,
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,
-    from_time,
 )
 from mixtac_driver.camera import CameraBatch, SourceStatus
 from mixtac_driver.clock import Origin
@@ -47,8 +45,6 @@ STEP_US = 1000
 """Longest step in real time [us], so that packets of 1 ms leave on time."""
 CLOSING_US = 100_000
 """Silence reported after the end [us]: it closes the longest packet that may be pending."""
-LONGEST_WAIT_S = 3600.0
-"""Longest single wait [s]; condition variables accept no unlimited time."""
 BEHIND_S = 0.1
 """Delay of playback from which on it is reported [s]."""
 _NOTHING = Events.empty()
@@ -192,6 +188,37 @@ def replayed_identity(info: RecordingInfo) -> Identity:
     )
 
 
+def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
+    """Yield pieces without the data before a time.
+
+    Once a recorded clock was reset, everything counts as later. What was recorded between the reset
+    and the first packet of the new clock is left out.
+
+    Args:
+        pieces: Pieces in recorded order.
+        from_us: The time [us, recorded camera clock].
+    """
+    latest_us, reset = 0, False
+    for piece in pieces:
+        behind = piece.until_us < latest_us - RESTART_US
+        if piece.advances:
+            reset |= behind
+            latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
+        elif behind:
+            continue
+        if reset or piece.start_us >= from_us:
+            yield piece
+        elif piece.until_us >= from_us:
+            yield replace(
+                piece,
+                start_us=from_us,
+                events=piece.events[piece.events.t >= from_us],
+                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+                imu=piece.imu[piece.imu.t >= from_us],
+                edges=piece.edges[piece.edges.t >= from_us],
+            )
+
+
 class RecordedSource:
     """Plays a recording (see `mixtac_driver.supervisor.Source`).
 
@@ -219,7 +246,7 @@ class RecordedSource:
         self._origin: Origin | None = None
         self._latest_us: int | None = None
         self._loops = 0
-        self._lag_s = self._most_lag_s = 0.0
+        self._lag_s = 0.0
         self._stopping = self._ended = False
         self._reached_us: int | None = None
         # Host time [s], recorded time [us] and rate from which the due time is counted.
@@ -250,7 +277,6 @@ class RecordedSource:
                 'playback length [s]': info.length_us / 1e6,
                 'playback loops': self._loops,
                 'playback lag [s]': self._lag_s,
-                'playback lag maximum [s]': self._most_lag_s,
                 'packets missing in the recording': self._counters.packets_missing,
                 'clock resets': line.resets,
             },
@@ -358,9 +384,8 @@ class RecordedSource:
                 if left_s <= 0:
                     self._reached_us = due_us
                     self._lag_s = -left_s
-                    self._most_lag_s = max(self._most_lag_s, self._lag_s)
                     return True
-                self._changed.wait(min(left_s, LONGEST_WAIT_S))
+                self._changed.wait(min(left_s, threading.TIMEOUT_MAX))
             return False
 
     def _left_s(self, due_us: int) -> float:

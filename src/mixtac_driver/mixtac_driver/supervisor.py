@@ -7,18 +7,21 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES, RecordingError
-from mixtac_driver.camera import CameraBatch, Davis346, SourceStatus
-from mixtac_driver.davis346.control import CameraControl, PixelFilter
+from mixtac_driver.camera import CameraBatch, Davis346
+from mixtac_driver.davis346.control import PixelFilter
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.errors import DriverError, EndOfStream, HungReadError, UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
+
+if TYPE_CHECKING:
+    from mixtac_driver.playback import RecordedSource
 
 STOP_TIMEOUT_S = 8.0
 """Longest wait for the thread to end [s]."""
@@ -32,55 +35,8 @@ REPORT_ABSENCE_AFTER_S = 30.0
 """Delay of reporting that a camera was never there [s]: a simulated one may start later."""
 
 
-class Source(Protocol):
-    """Yields batches; `batches` is for one thread, everything else may be used from others."""
-
-    @property
-    def control(self) -> CameraControl | None:
-        """Requests to the camera; None where there is no camera, as for a recording."""
-
-    def status(self) -> SourceStatus:
-        """Return its state, open or not."""
-
-    def open(self) -> None:
-        """Open it.
-
-        Raises:
-            MixtacError: It cannot be opened.
-        """
-
-    def start(self) -> None:
-        """Start streaming.
-
-        Raises:
-            MixtacError: It cannot be started.
-        """
-
-    def batches(self) -> Iterator[CameraBatch]:
-        """Yield the data until stopped.
-
-        Raises:
-            EndOfStream: There are no more data, and nothing is wrong.
-            RecordingError: There are no more data, and opening it again does not help.
-            DriverError: The stream died; it may be opened again.
-        """
-
-    def apply(self, parameters: DriverParameters, pixel_filter: PixelFilter = ()) -> None:
-        """Take new parameters; each source uses those that concern it.
-
-        Args:
-            parameters: All of them.
-            pixel_filter: Pixels whose events the camera drops, most important first.
-
-        Raises:
-            MixtacError: They contradict each other, or a request failed; nothing was changed.
-        """
-
-    def request_stop(self) -> None:
-        """Make `batches` end soon; returns at once."""
-
-    def close(self) -> None:
-        """Stop streaming if necessary and close the device."""
+Source: TypeAlias = 'Davis346 | RecordedSource'
+"""Yields batches; `batches` is for one thread, everything else may be used from others."""
 
 
 class SourceKind(Enum):
@@ -151,7 +107,9 @@ class Supervisor:
     outage that ended is reported before the start of the next stream.
 
     Args:
-        source: The source; may be open already.
+        source: The source; may be open already. Its `batches` raise EndOfStream at a regular end,
+            RecordingError where opening it again does not help, and other errors where the stream
+            died.
         parameters: When to give up (`recovery_give_up_after`).
         on_start: Called in the thread whenever a stream starts, before its first batch.
         on_batch: Called in the thread with every batch.
@@ -161,8 +119,7 @@ class Supervisor:
     Attributes:
         state: What it is doing.
         error: Why there is no stream, empty while there is one.
-        failures: Times that opening or streaming ended with an error.
-        failures_by_kind: The same by the name of the error.
+        failures_by_kind: Times that opening or streaming ended with an error, by its name.
         reconnects: Times that a stream came back after one had died.
         outage_s: How long the latest of these took from the last batch to the next [s].
         finished: Set when the thread ends by itself or is stopped.
@@ -180,7 +137,6 @@ class Supervisor:
     ) -> None:
         self.state = State.CONNECTING
         self.error = ''
-        self.failures = 0
         self.failures_by_kind: Counter[str] = Counter()
         self.reconnects = 0
         self.outage_s = 0.0
@@ -287,7 +243,6 @@ class Supervisor:
         self._reported = 0
 
     def _note_failure(self, error: MixtacError) -> None:
-        self.failures += 1
         self.failures_by_kind[type(error).__name__] += 1
         self.error = str(error)
         if self._reported == len(self._errors):

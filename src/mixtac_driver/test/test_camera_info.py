@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +21,6 @@ from mixtac_driver.camera_info import (
     CalibratedCamera,
     CalibrationError,
     CameraCalibration,
-    format_camera_info,
     parse_camera_info,
     read_camera_info,
     resolve,
@@ -119,8 +121,10 @@ def test_a_camchain_of_kalibr_is_read(theirs, ours, count):
 @settings(max_examples=20)
 def test_what_is_written_is_read_to_the_last_bit(model, name):
     camera = calibration(model, name=name)
-    text = format_camera_info(camera, 'two\nlines')
-    read = parse_camera_info(text)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'x.yaml'
+        write_camera_info(path, camera, 'two\nlines')
+        read, text = read_camera_info(path), path.read_text()
     assert (read.size, read.model, read.name) == (camera.size, camera.model, name)
     for field in ('distortion', 'camera_matrix', 'rectification', 'projection'):
         np.testing.assert_array_equal(getattr(read, field), getattr(camera, field))

@@ -103,7 +103,7 @@ def test_the_rule_that_is_named_matches_the_camera():
     assert 'ATTRS{idVendor}=="152a"' in doctor.RULE_FILE.read_text()
 
 
-CLOCK = ClockEstimate(offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, steps=0)
+CLOCK = ClockEstimate(offset_us=0.0, skew_ppm=12.0, span_s=11.0, steps=0)
 GOOD = Measurement(
     seconds=2.0,
     events=100_000,

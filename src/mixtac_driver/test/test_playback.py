@@ -19,10 +19,10 @@ from recording_samples import START_US, Bag, assert_equal, some_events
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import Frame
-from mixtac_core.recordings.recording import Piece, RecordingError, from_time
+from mixtac_core.recordings.recording import Piece, RecordingError
 from mixtac_driver.errors import EndOfStream
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.playback import RecordedSource, Timeline
+from mixtac_driver.playback import RecordedSource, Timeline, from_time
 
 LENGTH_US = 50_000
 EVENTS = some_events(length_us=LENGTH_US)

@@ -113,7 +113,7 @@ def test_reconnecting_goes_on_through_every_kind_of_failure():
     supervisor = watch.supervisor
     assert (supervisor.state, supervisor.error) == (State.STREAMING, '')
     assert watch.errors == ['gone', 'no start', 'died', "defect in the driver: KeyError('defect')"]
-    assert (supervisor.failures, supervisor.reconnects) == (5, 2)
+    assert (supervisor.failures_by_kind.total(), supervisor.reconnects) == (5, 2)
     kinds = {'NoCameraError': 2, 'StreamError': 2, 'DriverError': 1}
     assert supervisor.failures_by_kind == kinds
     assert not supervisor.finished.is_set()
@@ -127,7 +127,7 @@ def test_an_error_that_changes_with_every_attempt_is_reported_once():
     watch = Watch(Script(*entries, ('open', StreamError('other'))))
     watch.wait_for_stream()
     assert watch.errors == ['attempt 0', 'other']
-    assert watch.supervisor.failures == 21
+    assert watch.supervisor.failures_by_kind.total() == 21
     assert watch.supervisor.stop()
 
 
@@ -146,7 +146,7 @@ def test_a_late_start_and_an_ordered_end_are_no_failures(monkeypatch, entries):
     monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', NEVER_S)
     watch = Watch(Script(*entries))
     watch.wait_for_stream()
-    while watch.supervisor.failures < 2:
+    while watch.supervisor.failures_by_kind.total() < 2:
         time.sleep(0.001)
     assert watch.supervisor.stop()
     assert watch.errors == []
@@ -163,7 +163,7 @@ def test_end_of_a_recording_is_no_failure():
     watch = Watch(script)
     supervisor = watch.wait_for_end()
     assert (supervisor.state, supervisor.error, supervisor.failure) == (State.ENDED, '', None)
-    assert (script.openings, supervisor.failures, watch.errors) == (1, 0, [])
+    assert (script.openings, supervisor.failures_by_kind.total(), watch.errors) == (1, 0, [])
     assert not script.is_open
 
 

@@ -93,7 +93,7 @@ def rig():
 def test_failures_that_end_a_stream_are_named_and_the_stream_comes_back(rig, fault, kind):
     rig.camera.apply(DriverParameters(aps_exposure=7777))
     rig.device.inject(fault)
-    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.wait_until(lambda: rig.supervisor.failures_by_kind)
     rig.wait_until(lambda: rig.supervisor.reconnects and not rig.supervisor.error)
     rig.wait_for_stream()
     assert kind in rig.supervisor.failures_by_kind
@@ -116,7 +116,7 @@ def test_lesser_faults_do_not_end_the_stream(rig, fault):
     rig.device.inject(fault)
     time.sleep(0.25)
     rig.wait_for_stream()
-    assert rig.supervisor.failures == 0
+    assert rig.supervisor.failures_by_kind.total() == 0
     assert len(rig.starts) == 1
     assert rig.camera.transport_counters.stalls == (3 if fault.kind is FaultKind.STALL_DATA else 0)
     rig.check()
@@ -141,7 +141,7 @@ def test_time_that_garbage_threw_ahead_is_not_published(rig):
 )
 def test_camera_that_is_ill_when_plugged_in_is_opened_when_it_is_well(rig, kind, name):
     rig.device.unplug()
-    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.wait_until(lambda: rig.supervisor.failures_by_kind)
     rig.device.plug_in()
     rig.device.inject(Fault(kind))
     rig.wait_until(lambda: name in rig.supervisor.failures_by_kind)
@@ -153,7 +153,7 @@ def test_camera_that_is_ill_when_plugged_in_is_opened_when_it_is_well(rig, kind,
 
 def test_another_camera_in_its_place_is_taken_and_identified(rig):
     rig.device.unplug()
-    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.wait_until(lambda: rig.supervisor.failures_by_kind)
     rig.device.plug_in('V0000099')
     rig.wait_until(lambda: rig.supervisor.reconnects)
     assert 'DisconnectedError' in rig.supervisor.failures_by_kind

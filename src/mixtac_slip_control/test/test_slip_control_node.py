@@ -36,14 +36,15 @@ class Peer:
         from std_msgs.msg import Empty, Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
-        from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE
+        from mixtac_core.node.base_node import QOS_FORCE, qos
+        from mixtac_core.node.topics import EVENTS
         from mixtac_msgs.msg import SlipState
 
         self.graph = graph
         make = graph.node.create_publisher
         self._inputs = {
             Clock: make(Clock, '/clock', 10),
-            EventPacket: make(EventPacket, '/mixtac/events', QOS_EVENTS),
+            EventPacket: make(EventPacket, '/mixtac/events', qos(EVENTS)),
             WrenchStamped: make(WrenchStamped, '/mixtac/force', QOS_FORCE),
             JointState: make(JointState, '/joint_states', 10),
             Empty: make(Empty, '/mixtac/slip_control/heartbeat', 10),

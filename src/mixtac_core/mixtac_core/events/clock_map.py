@@ -52,14 +52,12 @@ class ClockEstimate:
     Attributes:
         offset_us: Host time less camera time [us], at the middle of the pairs.
         skew_ppm: How much faster the host's clock runs [1e-6].
-        residual_us: RMS distance of the quickest arrivals per second above the line [us].
         span_s: Time over which pairs were collected [s].
         steps: How often one of the clocks was set since the last restart.
     """
 
     offset_us: float
     skew_ppm: float
-    residual_us: float
     span_s: float
     steps: int
 
@@ -121,11 +119,9 @@ class ClockMap:
     def estimate(self) -> ClockEstimate:
         """Return the figures of the map; needs `ready`."""
         points = self._points()
-        above = np.array([self._excess(p) for p in points] or [0.0])
         return ClockEstimate(
             offset_us=self._origin_ns / 1000 - self._origin_us + self._level,
             skew_ppm=self._slope * 1e6,
-            residual_us=float(np.sqrt(np.mean(above**2))),
             span_s=(points[-1].t - points[0].t) / 1e6 if points else 0.0,
             steps=self._steps,
         )

@@ -30,37 +30,26 @@ windows that one packet can close."""
 _TYPES = (np.int64, np.uint16, np.uint16, np.bool_)
 
 
-def encode(events: Events, *, complete_until: int | None = None) -> EncodedPacket:
+def encode(events: Events, *, complete_until: int) -> EncodedPacket:
     """Encode events as one packet of `libcaer_cmp`.
 
     Args:
         events: Events on the camera clock [us], not negative, times not decreasing; may be empty.
-        complete_until: Camera clock [us]: no event before this time will follow. None: the time
-            of the last event.
+        complete_until: Camera clock [us], not before the last event: no event before this time
+            will follow.
 
     Returns:
         The packet. Without events it has no payload and its `time_base` is `complete_until`.
 
     Raises:
-        CodecError: Events that it cannot carry, an empty packet without `complete_until`, or a
-            `complete_until` before the last event.
+        CodecError: Events that it cannot carry.
     """
-    last = int(events.t[-1]) if len(events) else None
-    end = last if complete_until is None else int(complete_until)
-    if end is None or end < 0:
-        raise CodecError(f'an empty packet needs complete_until [us] >= 0, got {complete_until}')
-    if last is None:
-        return EncodedPacket(end * 1000, np.empty(0, np.uint8))
-    start = int(events.t[0])
-    if start < 0 or end < last:
-        raise CodecError(
-            f'events from {start} us to {last} us, complete until {end} us: give times after the '
-            'epoch, and complete_until after the last event'
-        )
+    if not len(events):
+        return EncodedPacket(complete_until * 1000, np.empty(0, np.uint8))
     # The encoder is compiled for one memory layout.
     arrays: Any = map(np.ascontiguousarray, events.fields, _TYPES)
     words = np.empty(4 * len(events) + 2, np.uint16)
-    used = libcaer_cmp.encode_words(*arrays, end, words)
+    used = libcaer_cmp.encode_words(*arrays, complete_until, words)
     if used < 0:
         at = -1 - used
         raise CodecError(
@@ -68,7 +57,7 @@ def encode(events: Events, *, complete_until: int | None = None) -> EncodedPacke
             f'events in the order of time, over {libcaer_cmp.MAX_SPAN_US} us, with coordinates up '
             f'to {libcaer_cmp.MAX_COORDINATE}'
         )
-    return EncodedPacket(start * 1000, words[:used].view(np.uint8).copy())
+    return EncodedPacket(int(events.t[0]) * 1000, words[:used].view(np.uint8).copy())
 
 
 def decode(

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import functools
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
@@ -120,43 +121,25 @@ def inertial_samples(
         flips: Axes of the unit that are inverted.
         imu_type: 1 for MPU6050, 2 for MPU9250, whose temperature scales differ.
     """
-    count = len(t)
-    acceleration, rotation = np.empty((count, 3)), np.empty((count, 3))
-    temperature = np.empty(count)
+    # A camera sends a sample per millisecond: numbers of Python are quicker than small arrays.
+    rows = [
+        [value * factor for value, factor in zip(row, _factors(row[7], flips), strict=False)]
+        for row in struct.iter_unpack('>7hB', raw.tobytes())
+    ]
+    values = np.array(rows, np.float64).reshape(-1, 7)
     scale, offset = (340.0, 35.0) if imu_type == 1 else (333.87, 21.0)
-    # Compiled: a camera sends a sample per millisecond, and dozens of small arrays take longer.
-    _convert(raw, flips, scale, offset, acceleration, rotation, temperature)
-    return InertialSamples(t.copy(), acceleration, rotation, temperature)
+    temperature = values[:, 3] / scale + offset
+    return InertialSamples(t.copy(), values[:, :3], values[:, 4:], temperature)
 
 
-@njit(cache=True, nogil=True)
-def _convert(
-    raw: NDArray[np.uint8],
-    flips: tuple[bool, bool, bool],
-    scale: float,
-    offset: float,
-    acceleration: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    temperature: NDArray[np.float64],
-) -> None:
-    """Fill the arrays that `inertial_samples` returns, given the scale of the temperature."""
-    for row in range(raw.shape[0]):
-        info = raw[row, 14]
-        m_s2 = (4 << (info >> 2 & 3)) / 65536 * STANDARD_GRAVITY if info & 0x80 else np.nan
-        rad_s = (500 << (info & 3)) / 65536 * (np.pi / 180.0) if info & 0x40 else np.nan
-        for axis in range(3):
-            sign = -1.0 if flips[axis] else 1.0
-            acceleration[row, axis] = _signed(raw, row, axis) * sign * m_s2
-            rotation[row, axis] = _signed(raw, row, 4 + axis) * sign * rad_s
-        degrees = _signed(raw, row, 3) / scale + offset
-        temperature[row] = degrees if info & 0x20 else np.nan
-
-
-@njit(cache=True, nogil=True)
-def _signed(raw: NDArray[np.uint8], row: int, place: int) -> float:
-    """Return one of the big-endian 16-bit integers of a sample."""
-    value = np.int64(raw[row, 2 * place]) << 8 | np.int64(raw[row, 2 * place + 1])
-    return float(value - 65536 if value & 0x8000 else value)
+@functools.cache
+def _factors(info: int, flips: tuple[bool, bool, bool]) -> tuple[float, ...]:
+    """Return the factors of seven integers with an info byte; NaN for groups that are not there."""
+    m_s2 = (4 << (info >> 2 & 3)) / 65536 * STANDARD_GRAVITY if info & 0x80 else np.nan
+    rad_s = (500 << (info & 3)) / 65536 * (np.pi / 180.0) if info & 0x40 else np.nan
+    signs = [-1.0 if flip else 1.0 for flip in flips]
+    celsius = 1.0 if info & 0x20 else np.nan
+    return *(sign * m_s2 for sign in signs), celsius, *(sign * rad_s for sign in signs)
 
 
 NO_EDGES = Edges(np.empty(0, np.int64), np.empty(0, np.uint8))

@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
@@ -124,8 +123,6 @@ class Packetizer:
 
 RESTART_US: Final = 1_000_000
 """A larger step back in time [us] is a clock that was reset, not a late packet."""
-MOST_HELD: Final = 1 << 22
-"""Events of windows that do not close, beyond which they are dropped: time stands still."""
 
 
 class WindowSlicer:
@@ -137,7 +134,7 @@ class WindowSlicer:
 
     Attributes:
         width_us: Width of a window [us].
-        late_events: Events dropped because their window had been closed, or did not close.
+        late_events: Events dropped because their window had been closed.
 
     Args:
         width_us: Width of a window [us], positive.
@@ -165,16 +162,12 @@ class WindowSlicer:
         following = self._begin(min(first, complete_until))
         fresh = self._in_time(events, following * self.width_us)
         if len(fresh):
-            held_before = sum(map(len, self._pending))
-            if held_before > MOST_HELD:
-                self.late_events += held_before
-                self._pending = []
             self._pending.append(fresh)
         closed = complete_until // self.width_us
         if closed <= following:
             return []
         held = Events.concatenate(self._pending)
-        if not _ordered(held.t):
+        if (held.t[1:] < held.t[:-1]).any():
             held = held[np.argsort(held.t, kind='stable')]
         self._next = closed
         begin, parts = 0, []
@@ -206,11 +199,10 @@ class WindowSlicer:
         return self._next
 
     def _in_time(self, events: Events, start_us: int) -> Events:
-        if len(events) == 0 or (events.t[0] >= start_us and _ordered(events.t)):
-            return events
         keep = events.t >= start_us
-        self.late_events += len(events) - int(np.count_nonzero(keep))
-        return events[keep]
+        late = len(events) - int(np.count_nonzero(keep))
+        self.late_events += late
+        return events[keep] if late else events
 
     def _to_close(self, held: Events, first: int, end: int) -> list[int]:
         """Return the windows in ``[first, end)`` to close: the latest ones, and all with events."""
@@ -219,11 +211,3 @@ class WindowSlicer:
             return list(range(first, end))
         before = held.between(first * self.width_us, near * self.width_us).t // self.width_us
         return [*np.unique(before).tolist(), *range(near, end)]
-
-
-@njit(cache=True, nogil=True)
-def _ordered(t: NDArray[np.int64]) -> bool:
-    for index in range(1, len(t)):  # noqa: SIM110 - numba has no all()
-        if t[index] < t[index - 1]:
-            return False
-    return True

@@ -65,14 +65,10 @@ def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
     )
 
 
-QOS_EVENTS = qos(topics.EVENTS)
-"""Event packets: what every consumer of event_camera_msgs subscribes with."""
 QOS_FORCE = qos(topics.FORCE)
 """Force, slip, reference wrench: 500 to 1000 Hz, too fast for the sensor-data depth of 5."""
 QOS_SENSOR = qos(topics.IMAGE_RAW)
 """Frames, camera information, IMU."""
-QOS_LATCHED = qos(topics.CLOCK_FIT)
-"""The latest value for late joiners (clock fit, camera clock)."""
 
 
 class BaseNode:

@@ -22,8 +22,6 @@ from mixtac_core.events.errors import MixtacError
 
 Pixels = NDArray[np.uint8 | np.uint16]
 
-MOST_PIXELS = 1 << 22
-"""Larger images are refused: the work on a message is bounded."""
 _MOSAICS = ('bayer_rggb', 'bayer_grbg', 'bayer_gbrg', 'bayer_bggr')
 _LAYOUTS = {'8UC1': ('mono', 8), '16UC1': ('mono', 16), 'rgb8': ('rgb', 8), 'bgr8': ('bgr', 8)}
 _LAYOUTS |= {f'{kind}{bits}': (kind, bits) for kind in ('mono', *_MOSAICS) for bits in (8, 16)}
@@ -54,12 +52,10 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
     data = np.frombuffer(message.data, np.uint8)
-    sound = 0 < row <= step and 0 < step * height <= data.size
-    if not sound or width * height > MOST_PIXELS:
+    if not (0 < row <= step and 0 < step * height <= data.size):
         raise ImageConversionError(
             f'image of {width} x {height} {message.encoding}, {step} bytes a row, holds '
-            f'{data.size} bytes: the publisher must fill {row} bytes a row, and at most '
-            f'{MOST_PIXELS} pixels'
+            f'{data.size} bytes: the publisher must fill {row} bytes a row'
         )
     data.flags.writeable = False
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
@@ -119,23 +115,12 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     message.encoding = encoding
     message.is_bigendian = sys.byteorder == 'big'
     message.step = image.nbytes // image.shape[0]
-    set_octets(message, 'data', np.ascontiguousarray(image).view(np.uint8).ravel())
-
-
-def set_octets(message: Any, name: str, octets: Any) -> None:  # noqa: ANN401
-    """Set an empty field of type `uint8[]` in a message of rclpy or rosbags.
-
-    Args:
-        message: The message.
-        name: Name of the field.
-        octets: One-dimensional array, or anything with a buffer.
-    """
-    held = getattr(message, name)
-    if isinstance(held, array):
-        # Assigning to the field checks every element; this is one copy.
-        held.frombytes(octets)
+    octets: Any = np.ascontiguousarray(image).view(np.uint8).ravel()
+    if isinstance(message.data, array):
+        # rclpy checks every element that is assigned; this is one copy.
+        message.data.frombytes(octets)
     else:
-        setattr(message, name, np.frombuffer(octets, np.uint8))
+        message.data = octets
 
 
 def decompress_grey(message: Any) -> Pixels:  # noqa: ANN401

@@ -27,25 +27,17 @@ from mixtac_core.node.process import GraphError, fatal_text, profile_environment
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
 
 BOOLEAN = ['true', 'false']
-_SHARED: dict[str, dict[str, Any]] = {
-    'namespace': {
-        'default_value': DEFAULT_NAMESPACE,
-        'description': 'Namespace of all nodes and topics',
-    },
-    'params_file': {
-        'default_value': '',
-        'description': 'Parameter file that overrides the shipped ones',
-    },
-    'autostart': {
-        'default_value': 'true',
-        'choices': BOOLEAN,
-        'description': 'Configure and activate the force estimator',
-    },
-    'log_level': {
-        'default_value': 'info',
-        'description': 'Lowest severity that the nodes log: debug, info, warn, error or fatal',
-    },
+_SHARED = {
+    'namespace': (DEFAULT_NAMESPACE, 'Namespace of all nodes and topics', None),
+    'params_file': ('', 'Parameter file that overrides the shipped ones', None),
+    'autostart': ('true', 'Configure and activate the force estimator', BOOLEAN),
+    'log_level': (
+        'info',
+        'Lowest severity that the nodes log: debug, info, warn, error, fatal',
+        None,
+    ),
 }
+"""Default, description and choices of arguments."""
 
 
 def shared_arguments(*names: str) -> list[Any]:
@@ -54,7 +46,13 @@ def shared_arguments(*names: str) -> list[Any]:
     Args:
         names: `namespace`, `params_file`, `autostart` or `log_level`.
     """
-    return [DeclareLaunchArgument(name, **_SHARED[name]) for name in names]
+    found = []
+    for name in names:
+        default, text, choices = _SHARED[name]
+        found += [
+            DeclareLaunchArgument(name, default_value=default, description=text, choices=choices)
+        ]
+    return found
 
 
 def environment() -> list[Any]:

@@ -8,7 +8,6 @@ The module also controls garbage collection, priority and compilation of real-ti
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import faulthandler
 import fcntl
 import gc
@@ -50,18 +49,6 @@ def lower_priority(niceness: int) -> None:
     """Set the niceness of the calling thread, where the system has one for threads."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
-
-
-_SET_TIMER_SLACK = 29
-"""Number of this option of `prctl`."""
-_SLACK_NS = 1000
-"""Longest extension of a sleep [ns]."""
-
-
-def exact_sleeps() -> None:
-    """Have sleeps of the calling thread end on time: Linux lets them last up to 50 us longer."""
-    if sys.platform == 'linux':
-        ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, _SLACK_NS, 0, 0, 0)
 
 
 @contextlib.contextmanager

@@ -2,22 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """AEDAT 2.0 files, read, and AEDAT4 files, read and written.
 
-AEDAT 2.0 files of a DAVIS240 or DAVIS346, as jAER records them, are read for their events. A word
-of 8 bytes holds an address and a time [us], both big-endian. The address of an event has row (9
-bits from bit 22), column (10 bits from bit 12, counted from the right) and polarity (bit 11). Bit
-31 marks pixels of frames and inertial samples, bit 10 edges of the external input: these are
-skipped and counted. Rows are numbered as jAER numbers them.
+AEDAT 2.0 files of a DAVIS240 or DAVIS346, as jAER records them, hold one word of 8 bytes per event
+or pixel: an address and a time [us], both big-endian. An address has row (9 bits from bit 22) and
+column (10 bits from bit 12). Of an event, bits 31 and 10 are 0, bit 11 is the polarity, and columns
+are counted from the right. Of a pixel of a frame, bit 31 is 1, bit 11 is 0, and bits 0 to 9 are the
+converted value: before the exposure where bit 10 is 0 (reset read), and after it (signal read).
+Inertial samples, which lack their scale, and edges of the external input are skipped and counted.
+Rows are numbered as jAER numbers them.
 
 AEDAT4 files of one camera are read and written with the optional package dv-processing. Times [us]
-are those of the file. Another process reads the whole file first, because dv-processing never
-returns from some damaged packets.
+are those of the file. dv-processing does not detect all damage, and may not return from it.
 """
 
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -25,12 +24,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_core.events.readings import STANDARD_GRAVITY, EdgeKind
 from mixtac_core.recordings.messages import left_aligned, ten_bits
 from mixtac_core.recordings.recording import (
     AEDAT4_FILE,
-    AEDAT4_SUFFIX,
     NONE,
     DamagedRecordingError,
     ReadCounters,
@@ -43,27 +42,9 @@ from mixtac_core.recordings.tables import Rows, optional_module
 
 SIZES: Final = {'davis346': (346, 260), 'davis240': (240, 180), 'sbret': (240, 180)}
 """Width and height of the sensor by a part of the chip's name in lower case."""
-NO_EVENT: Final = 1 << 31 | 1 << 10
-"""Bits that no event has."""
-PIXEL: Final = 1 << 31 | 1 << 10
-"""Bits of a pixel read after its exposure; bit 11, which inertial samples have, is 0."""
 WORDS: Final = 10_000
 """Words that are read at once."""
 _HEADER_LINE: Final = re.compile(rb'#[^\x00-\x08\x0a-\x0c\x0e-\x1f]*\n')
-PATIENCE_S: Final = 60.0
-"""Longest time to read a file, apart from that for its size [s]."""
-SLOWEST: Final = 2e6
-"""Least speed of reading on a busy machine [bytes/s]."""
-_CHECK: Final = """
-import sys
-from contextlib import suppress
-from dv_processing.io import MonoCameraRecording
-file = MonoCameraRecording(*filter(None, sys.argv[1:3]))
-for name in sys.argv[3:]:
-    with suppress(RuntimeError):
-        while getattr(file, name)() is not None: pass
-"""
-"""Reads all streams of a file; errors are left to the process that reads it next."""
 _EDGES: Final = {
     1: EdgeKind.EXTERNAL_RISING,
     2: EdgeKind.EXTERNAL_FALLING,
@@ -82,11 +63,11 @@ def open_aedat2(
 
     Args:
         path: The file.
-        selection: `NONE` for events is refused: there is nothing else to read.
+        selection: `NONE` leaves events or frames out.
         size: Width and height of the sensor; None for the size of the chip that the header names.
 
     Raises:
-        RecordingError: It holds no events, or the size is not known.
+        RecordingError: It holds nothing, or the size is not known.
     """
     with path.open('rb') as file:
         start, chip = 0, ''
@@ -97,43 +78,91 @@ def open_aedat2(
     size = size or next((found for name, found in SIZES.items() if name in chip.lower()), None)
     if size is None:
         raise RecordingError(
-            f'{path} is of the chip {chip or "(not named)"}: only events of DAVIS240 and'
-            ' DAVIS346 are read',
+            f'{path} is of the chip {chip or "(not named)"}: only DAVIS240 and DAVIS346 are read',
             remedy='give --size 346x260 or 240x180 if it is such a camera, or open it in jAER'
             ' and export events as csv with columns t, x, y, p',
         )
     counters = ReadCounters()
     streams: Streams = {}
     if selection.events != NONE:
-        streams['events'] = partial(_events_of_words, path, start, size, counters)
+        streams['events'] = partial(_word_events, path, start, size, counters)
+    if selection.image != NONE:
+        streams['frames'] = partial(_word_frames, path, start, size, counters)
     return FileRecording(RecordingInfo(path, 'AEDAT 2 file', *size), streams, counters=counters)
 
 
-def _events_of_words(
-    path: Path, start: int, size: tuple[int, int], counters: ReadCounters
-) -> Iterator[Rows]:
-    """Yield the events; times [us] continue where 32 bits roll over."""
-    others, pixels, latest_us = 0, 0, None
+def _words(path: Path, start: int) -> Iterator[tuple[NDArray[np.int64], ...]]:
+    """Yield addresses, columns and rows in them, and times [us] beyond 32 bits."""
+    latest_us = None
     with path.open('rb') as file:
         file.seek(start)
         while len(data := file.read(8 * WORDS)) >= 8:
-            words = np.frombuffer(data, '>u4', len(data) // 8 * 2).reshape(-1, 2).astype(np.int64)
-            address, t = words[words[:, 0] & NO_EVENT == 0].T
-            others += len(words) - len(t)
-            pixels += int(np.count_nonzero(words[:, 0] & (PIXEL | 1 << 11) == PIXEL))
-            if not len(t):
-                continue
+            words = np.frombuffer(data, '>u4', len(data) // 8 * 2).astype(np.int64)
+            address, t = words[::2], words[1::2]
             latest_us = int(t[0]) if latest_us is None else latest_us
             # Steps of 32 bits are shorter than 2^31 us.
             steps = np.diff(t, prepend=latest_us) + (1 << 31) & 0xFFFFFFFF
             t = latest_us + np.cumsum(steps - (1 << 31))
             latest_us = int(t[-1])
+            yield address, address >> 12 & 0x3FF, address >> 22 & 0x1FF, t
+
+
+def _word_events(
+    path: Path, start: int, size: tuple[int, int], counters: ReadCounters
+) -> Iterator[Rows]:
+    others = 0
+    for address, x, y, t in _words(path, start):
+        is_event = address & (1 << 31 | 1 << 10) == 0
+        others += int(np.count_nonzero(~is_event & ~_is_pixel(address)))
+        if is_event.any():
             # Columns left of the first become large, outside of any sensor.
-            x = (size[0] - 1 - (address >> 12 & 0x3FF)).astype(np.uint16)
-            y, polarity = address >> 22 & 0x1FF, address >> 11 & 1 == 1
-            yield {'t': t, 'x': x, 'y': y, 'polarity': polarity}
+            rows: Rows = {'t': t, 'x': (size[0] - 1 - x).astype(np.uint16), 'y': y}
+            rows['polarity'] = address >> 11 & 1 == 1
+            yield {name: column[is_event] for name, column in rows.items()}
     counters.other_words += others
-    counters.frames_not_read += pixels // (size[0] * size[1])
+
+
+def _word_frames(
+    path: Path, start: int, size: tuple[int, int], counters: ReadCounters
+) -> Iterator[Rows]:
+    """Yield the frames of which both reads of all pixels came; any corner may be read first.
+
+    Exposures are those of a global shutter: from the last reset read to the first signal read. Of a
+    rolling shutter, the middle is that of the mean exposure of the pixels.
+    """
+    width, height = size
+    samples = np.full((2, height, width), -1, np.int16)
+    times = np.zeros(samples.shape, np.int64)
+    half, incomplete = np.array([[height // 2], [width // 2]]), 0
+    latest = -2 * half - 1
+    for address, x, y, t in _words(path, start):
+        pixels = np.flatnonzero(_is_pixel(address) & (x < width) & (y < height))
+        place = address[pixels] >> 10 & 1, y[pixels], x[pixels]
+        resets = np.flatnonzero(place[0] == 0)
+        reset = np.stack(place[1:])[:, resets]
+        # Row and column both jump only from the last pixel of a frame to the first of the next.
+        jumps = (np.abs(np.diff(reset, prepend=latest)) > half).all(axis=0)
+        latest = reset[:, -1:] if len(resets) else latest
+        for number, part in enumerate(np.split(np.arange(len(pixels)), resets[jumps])):
+            if number:
+                incomplete += int((samples >= 0).any())
+                samples[:] = -1
+            where, words = tuple(each[part] for each in place), pixels[part]
+            samples[where], times[where] = address[words] & 0x3FF, t[words]
+            if len(part) and (samples >= 0).all():
+                begin_us, end_us = sorted((times[0].max(), times[1].min()))
+                yield {
+                    'exposure_start': np.array([begin_us]),
+                    'exposure_end': np.array([end_us]),
+                    'origin': np.zeros((1, 2), np.int64),
+                    'image': (samples[0] - samples[1]).clip(0).astype(np.uint16)[None],
+                }
+                samples[:] = -1
+    counters.frames_incomplete += incomplete + int((samples >= 0).any())
+
+
+def _is_pixel(address: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(address & (1 << 31 | 1 << 11) == 1 << 31)
 
 
 def _dv() -> Any:  # noqa: ANN401
@@ -153,14 +182,9 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
         RecordingError: dv-processing is missing, or there is no such camera.
         DamagedRecordingError: The file cannot be read, or holds no data of a camera.
     """
-    if path.suffix != AEDAT4_SUFFIX:
-        raise RecordingError(
-            f'dv-processing does not read {path}', remedy=f'name it {path.stem}{AEDAT4_SUFFIX}'
-        )
     camera = '' if selection.events == NONE else selection.events
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
     streams: Streams = {}
-    _check(path, camera)
     with _refusing_damage(path):
         file = _open(path, camera)
         for kind, (table, following, convert) in _STREAMS.items():
@@ -177,24 +201,6 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
 
 def _open(path: Path, camera: str) -> Any:  # noqa: ANN401
     return _dv().io.MonoCameraRecording(*filter(None, (str(path), camera)))
-
-
-def _check(path: Path, camera: str) -> None:
-    """Check that dv-processing returns from all packets of a file.
-
-    Raises:
-        DamagedRecordingError: It does not, or crashes.
-    """
-    following = [name for _, name, _ in _STREAMS.values()]
-    command = [sys.executable, '-c', _CHECK, str(path), camera, *following]
-    limit_s = PATIENCE_S + path.stat().st_size / SLOWEST
-    with _refusing_damage(path):
-        try:
-            done = subprocess.run(command, check=False, capture_output=True, timeout=limit_s)
-        except subprocess.TimeoutExpired as error:
-            raise RuntimeError('dv-processing never returns') from error
-        if done.returncode < 0:
-            raise RuntimeError('dv-processing crashes')
 
 
 def _rows(

@@ -278,6 +278,8 @@ class McapFile:
                 summary = SeekingReader(file).get_summary()
         except Exception:  # noqa: BLE001  (the parser raises whatever damage leads it to)
             summary = None
+            # A file that was closed ends with a footer, with statistics or without.
+            self.notes[0] = f'{path.name} was not closed'
         if summary and summary.statistics:
             found, channels, self._schemas = summary.statistics, summary.channels, summary.schemas
             counts = Counter(found.channel_message_counts)
@@ -313,11 +315,8 @@ class McapFile:
             elif isinstance(record, Message):
                 counts[record.channel_id] += 1
                 times.append(record.log_time)
-        if orphans := sum(counts[number] for number in counts.keys() - channels):
-            self.notes[-1] = f'{orphans} messages of {self.path.name} belong to no topic'
         if not channels:
             raise DamagedRecordingError('; '.join(self.notes.values()) or 'it holds no topics')
-        self.notes.setdefault(0, f'{self.path.name} was not closed')
         self.start_time, self.end_time = min(times, default=0), max(times, default=-1) + 1
         return channels, counts
 

@@ -18,12 +18,14 @@ import struct
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import StreamDecoder
-from mixtac_core.events.packets import CodecError, SequenceCounter
+from mixtac_core.events.errors import MixtacError
+from mixtac_core.events.packets import SequenceCounter
 from mixtac_core.node import topics
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings import messages as convert
@@ -37,7 +39,6 @@ from mixtac_core.recordings.recording import (
     DamagedRecordingError,
     Piece,
     ReadCounters,
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,
@@ -46,7 +47,7 @@ from mixtac_core.recordings.recording import (
     file_format,
     not_a_recording,
 )
-from mixtac_core.recordings.table_recording import open_table_recording
+from mixtac_core.recordings.table_recording import FileRecording, open_table_recording
 from mixtac_core.recordings.tables import HDF5_FILE, TableOptions
 
 OTHER_CLOCK_US = 60_000_000
@@ -70,8 +71,6 @@ class EventArray:
         width: Columns of the sensor.
         height: Rows of the sensor.
         events: Events inside the sensor, sorted by time [us].
-        outside: Events left out because they lie outside the sensor.
-        unsorted: Events that were older than the one before.
     """
 
     seq: int
@@ -79,15 +78,14 @@ class EventArray:
     width: int
     height: int
     events: Events
-    outside: int
-    unsorted: int
 
 
-def read_event_array(data: bytes) -> EventArray:
+def read_event_array(data: bytes, counters: ReadCounters) -> EventArray:
     """Return the content of a serialised message.
 
     Args:
         data: The message, as ROS 1 serialises it.
+        counters: Counts events that are left out or sorted.
 
     Raises:
         DamagedRecordingError: It is cut off.
@@ -105,8 +103,9 @@ def read_event_array(data: bytes) -> EventArray:
     rows = inside[order]
     events = Events(t[order], rows['x'].copy(), rows['y'].copy(), rows['polarity'] != 0)
     stamp_us = seconds * 1_000_000 + nanoseconds // 1000
-    unsorted = int(np.count_nonzero(np.diff(t) < 0))
-    return EventArray(seq, stamp_us, width, height, events, count - len(inside), unsorted)
+    counters.events_outside += count - len(inside)
+    counters.events_unsorted += int(np.count_nonzero(np.diff(t) < 0))
+    return EventArray(seq, stamp_us, width, height, events)
 
 
 class BagRecording:
@@ -190,7 +189,8 @@ class BagRecording:
             if is_image and not stamp_to_us(message.header.stamp):
                 self.counters.frames_without_time += 1
             else:
-                yield topic, read_event_array(message) if topic in raw else message
+                is_array = topic in raw
+                yield topic, read_event_array(message, self.counters) if is_array else message
 
     def _first(self, topic: str | None) -> Message:
         for _, message in self._messages(topic):
@@ -203,7 +203,9 @@ class BagRecording:
         events += bag.topics(*EVENT_ARRAYS) if bag.is_ros1 else []
         self._events = choose(events, selection.events, kind='events', path=path)
         beside = self._events or ''
-        images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
+        images = self._readable(
+            topics.IMAGE_RAW.type_name, selection.image, lambda m: convert.read_frame(m, 0, (0, 0))
+        )
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
         samples = bag.topics(topics.IMU.type_name)
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
@@ -228,7 +230,7 @@ class BagRecording:
             try:
                 check(self._first(topic))
                 found.append(topic)
-            except (RecordingError, CodecError) as error:
+            except MixtacError as error:
                 if topic == wanted:
                     raise RecordingError(f'{self._path}, {topic}: {error}') from error
                 self._unreadable.append(f'{topic} is left out: {error}')
@@ -283,7 +285,7 @@ class BagRecording:
         try:
             piece = self._converted(topic, message)
             piece.check()
-        except (RecordingError, CodecError) as error:
+        except MixtacError as error:
             raise RecordingError(f'{self._path}, {topic}: {error}') from error
         return piece
 
@@ -291,8 +293,6 @@ class BagRecording:
         if topic == self._events:
             self.counters.packets_missing += self._sequence.update(message.seq)
             if isinstance(message, EventArray):
-                self.counters.events_outside += message.outside
-                self.counters.events_unsorted += message.unsorted
                 t = message.events.t if len(message.events) else [message.stamp_us]
                 return Piece(int(t[0]), int(t[-1]), advances=True, events=message.events)
             packet = self._decoder.decode(message)
@@ -307,6 +307,10 @@ class BagRecording:
             return Piece(t_us, t_us, advances=False, edges=convert.read_edges(message, t_us))
         frame = convert.read_frame(message, t_us, self._corner)
         return Piece(t_us, t_us, advances=advances, frames=(frame,))
+
+
+Recording: TypeAlias = BagRecording | FileRecording
+"""A recording, open for reading."""
 
 
 def _stamp_us(message: Message) -> int:

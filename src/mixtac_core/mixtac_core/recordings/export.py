@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.readings import InertialSamples
 from mixtac_core.node.files import new_folder
-from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.aedat import write_aedat4
-from mixtac_core.recordings.camera_stream import open_recording
+from mixtac_core.recordings.camera_stream import Recording, open_recording
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_core.recordings.recording import (
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,
@@ -109,15 +107,10 @@ def _camera(recording: Recording, counts: Counts) -> TableParts:
 
 
 def _forces(recording: Recording, counts: Counts) -> TableParts:
-    taken = {*TABLES, topic_file(REFERENCE)}
     for topic, parts in recording.wrenches().items():
-        name = topic_file(topic)
-        while name in taken and topic != REFERENCE:
-            name += '_2'
-        taken.add(name)
         for stamps, values in parts:
             counts.wrenches[topic] = counts.wrenches.get(topic, 0) + len(stamps)
-            yield name, {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
+            yield topic_file(topic), {'t': stamps, 'force': values[:, :3], 'torque': values[:, 3:]}
 
 
 def _headings(name: str, columns: Rows) -> list[str]:
@@ -148,7 +141,9 @@ def _write_csv(folder: Path, _info: RecordingInfo, parts: TableParts) -> None:
                 files[name].write(','.join(f'"{each}"' for each in single) + '\n')
             formats = {'f': '%.9g' if name == 'imu' else '%.17g', 'U': '%s'}
             form = ','.join(formats.get(each.dtype.kind, '%d') for each in single.values()) + '\n'
-            rows = zip(*(each.tolist() for each in single.values()), strict=True)
+            # A minus before a zero goes.
+            plain = (each + 0.0 if each.dtype.kind == 'f' else each for each in single.values())
+            rows = zip(*(each.tolist() for each in plain), strict=True)
             files[name].writelines(form % row for row in rows)
 
 

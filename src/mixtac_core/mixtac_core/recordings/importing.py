@@ -26,8 +26,8 @@ from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, check_new, typestore
 from mixtac_core.recordings.bag_writer import McapBag
-from mixtac_core.recordings.camera_stream import open_recording
-from mixtac_core.recordings.recording import Recording, RecordingError, Selection
+from mixtac_core.recordings.camera_stream import Recording, open_recording
+from mixtac_core.recordings.recording import RecordingError, Selection
 from mixtac_core.recordings.summary import Counts
 from mixtac_core.recordings.table_recording import table_wrenches
 from mixtac_core.recordings.tables import TableOptions
@@ -223,8 +223,6 @@ def _write(
             writer.frame(frame, 0, received_ns)
         writer.samples(piece.imu, 0, received_ns)
         writer.edges(piece.edges, 0, received_ns)
-    if counts.last_us < counts.first_us:
-        raise RecordingError('there is nothing to import: no events and no frames')
     write_forces(len(stamps_ns))
     if len(stamps_ns):
         counts.wrenches[REFERENCE] = len(stamps_ns)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.node import topics
-from mixtac_core.node.images import ImageConversionError, fill, pixels
+from mixtac_core.node.images import fill, pixels
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_core.recordings.recording import RecordingError
 
@@ -248,14 +248,16 @@ def read_frame(message: Message, t_us: int, corner: tuple[int, int]) -> Frame:
         corner: Column and row of the image's first pixel in the whole array.
 
     Raises:
-        RecordingError: The encoding has several channels, or the data are too short.
+        RecordingError: The image has several channels.
+        ImageConversionError: Its encoding is unknown, or its data are too short.
     """
-    check_image(message)
-    try:
-        image = ten_bits(pixels(message))
-    except ImageConversionError as error:
-        raise RecordingError(str(error)) from error
-    return Frame(image, *corner, t_us, t_us, t_us, t_us, 0, True)
+    image = pixels(message)
+    if image.ndim > 2:
+        raise RecordingError(
+            f'images in {message.encoding!r} cannot be read, only mono8, mono16 and bayer_*',
+            remedy='choose another topic with playback_image_topic, or none',
+        )
+    return Frame(ten_bits(image), *corner, t_us, t_us, t_us, t_us, 0, True)
 
 
 def exposed_frame(frame: Frame, message: Message, offset_us: int) -> Frame:
@@ -293,20 +295,6 @@ def read_samples(message: Message, t_us: int, celsius: float = math.nan) -> Iner
     acceleration = _vector(message.linear_acceleration, message.linear_acceleration_covariance)
     rotation = _vector(message.angular_velocity, message.angular_velocity_covariance)
     return InertialSamples(np.array([t_us], np.int64), acceleration, rotation, np.array([celsius]))
-
-
-def check_image(message: Message) -> None:
-    """Check that an Image has one channel.
-
-    Raises:
-        RecordingError: It has several, or its encoding is unknown.
-    """
-    encoding = message.encoding
-    if encoding not in {'mono8', '8UC1', 'mono16', '16UC1'} and not encoding.startswith('bayer_'):
-        raise RecordingError(
-            f'images in {encoding!r} cannot be read, only mono8, mono16 and bayer_*',
-            remedy='choose another topic with playback_image_topic, or none',
-        )
 
 
 def _vector(vector: Message, covariance: Message) -> NDArray[np.float64]:

@@ -8,10 +8,10 @@ The table `FORMATS` lists the known file formats.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
-from mixtac_core.events.windows import RESTART_US
 
 
 class RecordingError(MixtacError):
@@ -194,15 +193,15 @@ class ReadCounters:
         events_outside: Events left out because they lie outside the sensor.
         events_unsorted: Events that were older than the one before in their message; sorted.
         frames_without_time: Frames left out because their stamp is zero.
-        frames_not_read: Frames in AEDAT 2, whose events only are read.
-        other_words: Words of frames, inertial samples and edges in AEDAT 2.
+        frames_incomplete: Frames in AEDAT 2 of which pixels are missing; left out.
+        other_words: Words of inertial samples and edges in AEDAT 2.
     """
 
     packets_missing: int = 0
     events_outside: int = 0
     events_unsorted: int = 0
     frames_without_time: int = 0
-    frames_not_read: int = 0
+    frames_incomplete: int = 0
     other_words: int = 0
 
     def warnings(self) -> list[str]:
@@ -212,69 +211,14 @@ class ReadCounters:
             'events_outside': 'events outside of the sensor left out',
             'events_unsorted': 'events out of order in their message, sorted',
             'frames_without_time': 'images with the stamp zero left out',
-            'frames_not_read': 'frames left out: export them with jAER',
-            'other_words': 'words of frames, inertial samples and edges left out: of AEDAT 2 only'
-            ' events are read',
+            'frames_incomplete': 'frames left out because pixels are missing',
+            'other_words': 'words of inertial samples and edges of AEDAT 2 left out',
         }
         return [f'{getattr(self, key)} {text}' for key, text in texts.items() if getattr(self, key)]
 
 
 Wrenches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 """Stamps [ns, clock of the topic], int64 [n], and force [N] and torque [N m], float64 [n, 6]."""
-
-
-class Recording(Protocol):
-    """A recording, open for reading."""
-
-    counters: ReadCounters
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Description; its damage is what has been found so far."""
-
-    def pieces(self) -> Generator[Piece, None, None]:
-        """Yield the recorded data in order from the beginning, reading as they are needed.
-
-        Raises:
-            RecordingError: The data are damaged.
-        """
-
-    def wrenches(self) -> Mapping[str, Wrenches]:
-        """Return the recorded forces by the topic or table that holds them."""
-
-    def close(self) -> None:
-        """Close the file."""
-
-
-def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
-    """Yield pieces without the data before a time.
-
-    Once a recorded clock was reset, everything counts as later. What was recorded between the reset
-    and the first packet of the new clock is left out.
-
-    Args:
-        pieces: Pieces in recorded order.
-        from_us: The time [us, recorded camera clock].
-    """
-    latest_us, reset = 0, False
-    for piece in pieces:
-        behind = piece.until_us < latest_us - RESTART_US
-        if piece.advances:
-            reset |= behind
-            latest_us = piece.until_us if behind else max(latest_us, piece.until_us)
-        elif behind:
-            continue
-        if reset or piece.start_us >= from_us:
-            yield piece
-        elif piece.until_us >= from_us:
-            yield replace(
-                piece,
-                start_us=from_us,
-                events=piece.events[piece.events.t >= from_us],
-                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-                imu=piece.imu[piece.imu.t >= from_us],
-                edges=piece.edges[piece.edges.t >= from_us],
-            )
 
 
 NONE = 'none'

@@ -14,14 +14,18 @@ import numpy as np
 
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile, is_bag
-from mixtac_core.recordings.camera_stream import EVENT_ARRAYS, BagRecording, open_recording
+from mixtac_core.recordings.camera_stream import (
+    EVENT_ARRAYS,
+    BagRecording,
+    Recording,
+    open_recording,
+)
 from mixtac_core.recordings.recording import (
     LATEST_US,
     NONE,
     DamagedRecordingError,
     Piece,
     ReadCounters,
-    Recording,
     RecordingError,
     RecordingInfo,
     Selection,

@@ -85,13 +85,15 @@ class FileRecording:
     ) -> None:
         self.counters = counters or ReadCounters()
         self._streams, self._forces = streams, forces
-        starts = [first.start_us for part in self._parts() for first in itertools.islice(part, 1)]
+        first = {name: next(part, None) for name, part in zip(streams, self._parts(), strict=True)}
+        self._streams = {name: read for name, read in streams.items() if first[name]}
+        starts = [piece.start_us for piece in first.values() if piece]
         if not starts:
             raise RecordingError(
                 f'{info.path} holds nothing: no events and no frames',
                 remedy='name the tables events and frames; in HDF5, choose a group with --events',
             )
-        contents = tuple((name, name) for name in streams)
+        contents = tuple((name, name) for name in self._streams)
         self.info = replace(info, start_us=min(starts), contents=contents)
 
     def pieces(self) -> Generator[Piece, None, None]:
@@ -254,30 +256,24 @@ def _checked_rows(
     """
     first = 1
     for block in read():
-        rows = _needed_rows(path, name, block, first)
-        count, given = len(rows[next(iter(rows))]), block.unit or unit
-        first += count
-        times = rows.keys() & set(TIMES)
-        for key in (*('xy' if name == 'events' else ''), *(() if given else times)):
-            fractions = rows[key] % 1 != 0
-            if fractions.any():
-                wanted = (
-                    'pixels, without rectification' if key in 'xy' else 'their unit: --time-unit s'
-                )
-                raise RecordingError(
-                    f'{path}: {name} has {key} = {rows[key][fractions][0]}, no whole number',
-                    remedy=f'give {wanted}',
-                )
-        for key in times:
+        rows, given = _needed_rows(path, name, block, first), block.unit or unit
+        for key in rows.keys() & set(TIMES):
+            if not given:
+                remedy = 'times are whole microseconds without --time-unit: give it, such as s'
+                _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
+        for key in 'xy' if name == 'events' else '':
+            remedy = 'pixels are whole numbers: give them without rectification'
+            _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
         if name == 'events':
             _check_events(path, rows, size)
             rows['polarity'] = rows['polarity'] > 0
         if name == 'frames':
             rows['image'] = _grey(path, rows['image'])
             rows.setdefault('origin', np.zeros((len(rows['image']), 2), np.int64))
-        if count:
+        if count := len(rows[next(iter(rows))]):
             yield rows
+        first += count
 
 
 def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
@@ -297,18 +293,27 @@ def _needed_rows(path: Path, name: str, block: Block, first: int) -> Rows:
                 f'{path}: {key} of {name} is of type {column.dtype} and shape {column.shape}',
                 remedy=f'store numbers in {dimensions} dimensions',
             )
-        finite = np.isfinite(column)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            raise RecordingError(
-                f'{path}: {name} has {key} = {column[row]} in row {first + row}',
-                remedy='write a finite number, or remove the row',
-            )
+        remedy = 'write a finite number, or remove the row'
+        _refuse(~np.isfinite(column), f'{path}: {name}', key, column, first, remedy)
     return rows
+
+
+def _refuse(
+    bad: NDArray[np.bool_], place: str, key: str, column: NDArray[Any], first: int, remedy: str
+) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise RecordingError(
+            f'{place} has {key} = {column[row]} in row {first + row}', remedy=remedy
+        )
 
 
 def _scaled(place: str, t: NDArray[Any], unit: str, wanted_ns: int) -> NDArray[np.int64]:
     """Return times in the wanted unit; those with fractions are rounded."""
+    if unit not in TIME_UNITS:
+        raise RecordingError(
+            f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(TIME_UNITS)}'
+        )
     unit_ns = TIME_UNITS[unit]
     if np.abs(t.astype(np.float64)).max(initial=0) >= 2.0**31 * 1e9 / unit_ns:
         raise RecordingError(

@@ -104,18 +104,6 @@ class TableOptions:
     force_unit: str = ''
     size: tuple[int, int] | None = None
 
-    def __post_init__(self) -> None:
-        """Check the units.
-
-        Raises:
-            RecordingError: One is unknown.
-        """
-        for unit in (self.time_unit, self.force_unit):
-            if unit and unit not in TIME_UNITS:
-                raise RecordingError(
-                    f'unknown unit of time {unit!r}', remedy=f'use one of {", ".join(TIME_UNITS)}'
-                )
-
 
 class Block(NamedTuple):
     """Some rows of a table.

@@ -39,7 +39,6 @@ def test_skew_and_offset_are_found_under_one_sided_delays(skew, base, seed):
     assert estimate.skew_ppm == pytest.approx(skew, abs=3)
     error_us = (clock.to_host_ns(int(camera[-1])) - true[-1]) / 1000 - base
     assert abs(error_us) < 60
-    assert estimate.residual_us < 60
     assert estimate.steps == 0
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_core.events import codec, windows
+from mixtac_core.events import codec
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.windows import Packetizer, WindowSlicer
 
@@ -180,17 +180,3 @@ def test_a_restarted_clock_starts_over() -> None:
     windows = slicer.push(at([200]), 1000)
     assert [(end, c.t.tolist()) for end, c in windows] == [(1000, [200])]
     assert slicer.late_events == 0
-
-
-def test_time_that_stands_still_holds_a_bounded_number_of_events(monkeypatch):
-    monkeypatch.setattr(windows, 'MOST_HELD', 100)
-    slicer = WindowSlicer(1000)
-    count = 30
-    xy = np.zeros(count, np.uint16)
-    same = Events(np.full(count, 500), xy, xy, np.ones(count, np.bool_))
-    for _ in range(1000):
-        assert slicer.push(same, 500) == []
-    ((end_us, events),) = slicer.push(Events.empty(), 1000)
-    assert end_us == 1000
-    assert len(events) <= 100 + 2 * count
-    assert slicer.late_events == 1000 * count - len(events)

@@ -17,7 +17,7 @@ from mixtac_core.events.packets import EncodedPacket
 from mixtac_core.recordings.bag import blank_message, typestore
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.messages import set_header
-from mixtac_core.recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
+from mixtac_core.recordings.recording import ReadCounters, RecordingInfo, Selection
 
 START_US = 1_700_000_000_123_456
 TYPES = typestore()
@@ -168,17 +168,16 @@ class Read:
     edges: list = field(default_factory=list)
 
 
-def read(path, from_us=0, **selection):
+def read(path, **selection):
     """Read a recording to its end; times are those of the recorded clock.
 
     Args:
         path: The recording.
-        from_us: Where to begin [us].
         selection: Fields of `Selection`.
     """
     with contextlib.closing(open_recording(path, Selection(**selection))) as recording:
         found, parts = Read(recording.info, recording.counters), []
-        for piece in from_time(recording.pieces(), from_us):
+        for piece in recording.pieces():
             parts.append(piece.events)
             if piece.advances:
                 found.times.append(piece.until_us)

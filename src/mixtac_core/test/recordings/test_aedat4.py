@@ -109,16 +109,8 @@ def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
     assert summarise(path).events['events'].lost.events_outside == len(EVENTS) - len(inside)
 
 
-def test_a_suffix_in_capitals_is_refused_with_the_name_to_give(file, tmp_path):
-    path = tmp_path / 'X.AEDAT4'
-    path.write_bytes(file.read_bytes())
-    with pytest.raises(RecordingError) as error:
-        read(path)
-    assert 'X.aedat4' in error.value.remedy
-
-
-@pytest.mark.parametrize('keep', [0.0, 0.001, 0.01])
-def test_a_file_without_a_whole_packet_gives_one_line_with_its_name(file, tmp_path, keep):
+@pytest.mark.parametrize('keep', [0.0, 0.01, 0.9])
+def test_a_file_that_was_cut_off_gives_one_line_with_its_name(file, tmp_path, keep):
     whole = file.read_bytes()
     path = tmp_path / 'cut.aedat4'
     path.write_bytes(whole[: int(len(whole) * keep)])
@@ -126,20 +118,6 @@ def test_a_file_without_a_whole_packet_gives_one_line_with_its_name(file, tmp_pa
         read(path)
     assert str(path) in str(error.value)
     assert '\n' not in str(error.value)
-
-
-def test_damage_ends_in_one_line_or_is_harmless(file, tmp_path, monkeypatch):
-    # From this damage dv-processing never returns.
-    monkeypatch.setattr('mixtac_core.recordings.aedat.PATIENCE_S', 2.0)
-    data, rng = bytearray(file.read_bytes()), np.random.default_rng(0)
-    at = int(rng.integers(3000, len(data) // 2))
-    data[at : at + 7] = rng.bytes(7)
-    path = tmp_path / 'x.aedat4'
-    path.write_bytes(data)
-    try:
-        read(path)
-    except RecordingError as error:
-        assert str(path) in str(error)  # noqa: PT017  (it may be harmless)
 
 
 def test_without_dv_processing_the_package_is_named(file, monkeypatch):

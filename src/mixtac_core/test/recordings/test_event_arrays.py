@@ -95,7 +95,8 @@ def test_event_packets_of_ros_1_are_read(tmp_path):
     types, kind = get_typestore(Stores.ROS1_NOETIC), 'event_camera_msgs/msg/EventPacket'
     text = (share('event_camera_msgs') / 'msg' / 'EventPacket.msg').read_text()
     types.register(get_types_from_msg(text, kind))
-    encoded, until_us = encode(EVENTS), int(EVENTS.t[-1])
+    until_us = int(EVENTS.t[-1])
+    encoded = encode(EVENTS, complete_until=until_us)
     time = types.types['builtin_interfaces/msg/Time'](until_us // 10**6, until_us % 10**6 * 1000)
     header = types.types['std_msgs/msg/Header'](1, time, '')
     fields = (260, 346, 1, encoded.time_base, 'libcaer_cmp', False, encoded.payload)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
-from mixtac_core.recordings.recording import RecordingError
 
 ORIGIN_US = 1_700_000_000_000_000
 FRAME = Frame(
@@ -93,5 +93,5 @@ def test_pixels_become_ten_bits(values, expected):
 def test_other_images_are_refused(encoding):
     message = messages.image(FRAME, ORIGIN_US, 0, 'camera', blank_message)
     message.encoding = encoding
-    with pytest.raises(RecordingError):
+    with pytest.raises(MixtacError):
         messages.read_frame(message, 0, (0, 0))

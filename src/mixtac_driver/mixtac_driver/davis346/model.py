@@ -69,11 +69,6 @@ class CameraModel:
     biases: Mapping[str, Bias]
     chip_registers: Mapping[Chip, int]
 
-    @property
-    def usb_id(self) -> tuple[int, int]:
-        """USB vendor and product number."""
-        return self.vendor, self.product
-
 
 DAVIS346 = CameraModel(
     name='davis346',

@@ -111,7 +111,7 @@ class DriverStatus:
         values['events masked on the host'] = mask.dropped
         values |= statistics | self._clock(source)
         by_kind = sorted(self._supervisor.failures_by_kind.items())
-        values['failures'] = self._supervisor.failures
+        values['failures'] = sum(self._supervisor.failures_by_kind.values())
         values |= {f'failures {kind}': count for kind, count in by_kind}
         values['reconnects'] = self._supervisor.reconnects
         values['latest outage [s]'] = self._supervisor.outage_s
@@ -174,6 +174,5 @@ class DriverStatus:
             'clock origin uncertainty [us]': origin.uncertainty_ns / 1000,
             'clock offset [us]': clock.offset_us - origin_us,
             'clock skew [ppm]': clock.skew_ppm,
-            'clock residual [us]': clock.residual_us,
             'clock steps': clock.steps,
         }

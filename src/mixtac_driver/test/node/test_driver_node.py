@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
 
 from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
-from mixtac_core.node.base_node import QOS_LATCHED, QOS_SENSOR, qos
+from mixtac_core.node.base_node import QOS_SENSOR, qos
 from mixtac_core.node.topics import stamp_to_ns, stamp_to_us
 
 pytestmark = pytest.mark.dds
@@ -43,7 +43,7 @@ def test_everything_is_published_on_one_clock(camera, graph):
     graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
     graph.listen(CameraInfo, '/mixtac/camera_info', QOS_SENSOR)
     graph.listen(Imu, '/mixtac/imu/data_raw', QOS_SENSOR)
-    graph.listen(TimeReference, '/mixtac/camera_clock', QOS_LATCHED)
+    graph.listen(TimeReference, '/mixtac/camera_clock', qos(topics.CAMERA_CLOCK))
     graph.listen(DiagnosticArray, '/diagnostics', 10)
     graph.start(DRIVER, camera.device, 'background_activity_filter_enabled:=false')
     images, packets = graph.got['/mixtac/image_raw'], graph.got['/mixtac/events']

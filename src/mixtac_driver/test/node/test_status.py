@@ -99,6 +99,6 @@ def test_an_outage_between_two_reports_is_a_warning_once(status, supervisor):
 
 @pytest.mark.parametrize(('steps', 'level'), [(0, OK), (1, WARN)])
 def test_a_clock_that_stepped_is_a_warning(status, meters, steps, level):
-    clock = ClockEstimate(0.0, 0.0, 0.0, span_s=1.0, steps=steps)
+    clock = ClockEstimate(0.0, 0.0, span_s=1.0, steps=steps)
     meters.clock = clock, 1_760_000_000_000_000
     assert [status.status().level for _ in range(3)] == [level] * 3

@@ -20,8 +20,8 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from mixtac_core.events.codec import encode
-from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
-from mixtac_core.node.topics import us_to_stamp
+from mixtac_core.node.base_node import QOS_FORCE, qos
+from mixtac_core.node.topics import CLOCK_FIT, EVENTS, us_to_stamp
 from mixtac_fger.alignment.clock_fit import ClockFit
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import FrameExposure
@@ -45,11 +45,11 @@ class Peer:
     def __init__(self, graph: Any) -> None:
         make = graph.node.create_publisher
         self.graph = graph
-        self.events = make(EventPacket, '/mixtac/events', QOS_EVENTS)
+        self.events = make(EventPacket, '/mixtac/events', qos(EVENTS))
         self.images = make(Image, '/mixtac/image_raw', QOS_FORCE)
         self.exposures = make(FrameExposure, '/mixtac/image_exposure', QOS_FORCE)
         self.forces = make(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
-        self.fits = graph.listen(ClockFitMessage, '/mixtac/clock_fit', QOS_LATCHED)
+        self.fits = graph.listen(ClockFitMessage, '/mixtac/clock_fit', qos(CLOCK_FIT))
         for publisher in (self.events, self.images, self.exposures, self.forces):
             graph.spin_until(publisher.get_subscription_count)
         time.sleep(0.5)  # the other side may not have matched yet
