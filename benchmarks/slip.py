@@ -75,7 +75,7 @@ def run_ways(plan: TrialPlan, ways: list[str]) -> dict[str, dict[str, Any]]:
 def finish(plan: TrialPlan, loop: ClosedLoop, answer: Connection) -> None:
     """Send the result of a trial from its enabling on."""
     try:
-        answer.send(finish_trial(plan, loop)[0])
+        answer.send(finish_trial(plan, loop))
     except SlipControlError as error:
         answer.send({'name': plan.name, 'seed': plan.seed, 'refused': str(error)})
 

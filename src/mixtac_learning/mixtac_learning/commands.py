@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, List, Optional  # noqa: UP035
+from typing import Annotated
 
 import typer
 
@@ -15,11 +15,6 @@ from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.train.config import read_run_config, with_overrides
 from mixtac_sim.world.plans import TRAINING_PRESET
 
-# typer evaluates these under Python 3.10.
-OptionalPath = Optional[Path]  # noqa: UP045
-OptionalPaths = Optional[List[Path]]  # noqa: UP006, UP045
-OptionalStr = Optional[str]  # noqa: UP045
-OptionalInt = Optional[int]  # noqa: UP045
 ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
 Preset = Annotated[
     str, typer.Option('--preset', help='Difficulty of sensors: easy, paper_like, hard or varied.')
@@ -28,7 +23,7 @@ ReferenceTopic = Annotated[
     str, typer.Option('--reference-topic', help='Topic of the reference force in the bags.')
 ]
 JsonFile = Annotated[
-    OptionalPath,
+    Path | None,
     typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
 ]
 
@@ -41,24 +36,24 @@ def train(
         ),
     ] = 'ours',
     bags: Annotated[
-        OptionalPaths,
+        list[Path] | None,
         typer.Option(help='Bags, or folder of bags, instead of the data named in the file.'),
     ] = None,
     start: Annotated[
-        OptionalStr,
+        str | None,
         typer.Option(help='Weight file, or name of a shipped model, to adapt to the bags.'),
     ] = None,
     out: Annotated[
-        OptionalPath, typer.Option(help='Weight file to write.', callback=writable)
+        Path | None, typer.Option(help='Weight file to write.', callback=writable)
     ] = None,
     seed: Annotated[
-        OptionalInt,
+        int | None,
         typer.Option(min=0, help='Random seed for initial weights and shuffling.'),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help='Number of processes that prepare data.')] = 2,
-    data: Annotated[OptionalPath, typer.Option(help='Folder of prepared samples.')] = None,
+    data: Annotated[Path | None, typer.Option(help='Folder of prepared samples.')] = None,
     folder: Annotated[
-        OptionalPath,
+        Path | None,
         typer.Option(
             help='Folder of checkpoint and curves; an interrupted run is resumed from it.'
         ),
@@ -79,7 +74,7 @@ def train(
 
 def evaluate(
     bags: Annotated[
-        OptionalPaths,
+        list[Path] | None,
         typer.Argument(help='Bags or folders of bags; without any, simulated trials are used.'),
     ] = None,
     model: ModelFile = DEFAULT_MODEL,
@@ -91,10 +86,10 @@ def evaluate(
     preset: Preset = TRAINING_PRESET,
     reference: ReferenceTopic = REFERENCE,
     figures: Annotated[
-        OptionalPath, typer.Option('--figure', help='Image file for the plots.', callback=writable)
+        Path | None, typer.Option('--figure', help='Image file for the plots.', callback=writable)
     ] = None,
     series: Annotated[
-        OptionalPath,
+        Path | None,
         typer.Option(
             help='CSV file for forces over time, with deviation, validity and reference.',
             callback=writable,
@@ -107,17 +102,17 @@ def evaluate(
 
     path = find_model(model)
     if bags:
-        judged, content = report.judge_bags(path, bags, reference)
+        estimates, content = report.judge_bags(path, bags, reference)
     else:
-        judged, content = report.judge_unseen(path, gels, seconds, seed, preset)
-    content |= {'model': str(path), 'skipped': judged.skipped}
-    title = f'{path.name} on {len(judged.estimates)} {"bags" if bags else "simulated trials"}'
+        estimates, content = report.judge_unseen(path, gels, seconds, seed, preset)
+    content['model'] = str(path)
+    title = f'{path.name} on {len(estimates)} {"bags" if bags else "simulated trials"}'
     report.show_figures(title, *content['metrics'].values())
-    report.show_skipped(judged.skipped)
+    report.show_skipped(content['skipped'])
     if figures is not None:
-        report.draw_trials(figures, title, judged.estimates)
+        report.draw_trials(figures, title, estimates)
         print(f'drawn: {figures}')
     if series is not None:
-        report.write_series(series, judged.estimates)
+        report.write_series(series, estimates)
         print(f'written: {series}')
     write_json(json, content)

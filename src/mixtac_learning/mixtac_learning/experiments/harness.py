@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an experiment becomes a command, stores its results, and reports them.
 
-An experiment is a function from a `Context` to an `Outcome`: rows that set our
-values beside the values of the paper, figures, and a list of differences from the paper. Results of
-long computations are stored in a folder, so that an interrupted run continues where it stopped.
+An experiment is a function from a `Context` to an `Outcome`: rows that set our values beside the
+values of the paper, and figures. Its docstring is the help of its command: what it measures, what
+the paper did, and how this differs. Results of long computations are stored in a folder, so that an
+interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, List, Optional, TypeVar  # noqa: UP035
+from typing import Annotated, Any, TypeVar
 
 import joblib
 import numpy as np
@@ -33,9 +34,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import read_data, structure, write_json, write_text
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
-from mixtac_learning.commands import JsonFile, OptionalPath
+from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments import EXPERIMENTS
-from mixtac_learning.train.config import OURS, DataConfig, RunConfig
+from mixtac_learning.train.config import DataConfig, RunConfig
 from mixtac_sim.world.plans import simulator_digest
 
 T = TypeVar('T')
@@ -53,12 +54,11 @@ class Sizes:
         seconds: Length of a training trial [s].
         mix: Force profiles of the training trials, in turn.
         tests: Number and length [s] of the test trials by profile.
-        paper_network: Differences from the paper's network sizes.
-        paper_training: Differences from the paper's training settings.
-        our_training: Training settings of our network.
+        training: Training settings that differ from the defaults, of networks of the `paper` and of
+            `ours`.
+        network: The same of the configuration of the networks.
         session: Number and length [s] of the trials of the protocol `paper`, by profile.
-        session_training: Differences of the training by that protocol, for networks of the `paper`
-            and for `ours`.
+        session_training: Differences from `training` by that protocol.
         tones_hz: Vibration frequencies [Hz].
         fast_tones_hz: Vibration frequencies above those of the paper [Hz].
         grasps: Number of slip trials by object.
@@ -70,9 +70,8 @@ class Sizes:
     seconds: float
     mix: tuple[str, ...]
     tests: dict[str, tuple[int, float]]
-    paper_network: dict[str, Any]
-    paper_training: dict[str, Any]
-    our_training: dict[str, Any]
+    training: dict[str, dict[str, Any]]
+    network: dict[str, dict[str, Any]] = field(default_factory=dict)
     session: dict[str, tuple[int, float]] = field(default_factory=dict)
     session_training: dict[str, dict[str, Any]] = field(default_factory=dict)
     tones_hz: tuple[float, ...] = ()
@@ -96,28 +95,55 @@ PAPER_SIZES = _sizes('paper')
 """Sizes of the experiments of the paper."""
 TABLE_SIZES = _sizes('table')
 """Sizes of the table of all models (`mixtac experiments models --size`)."""
-VARIANTS: dict[str, dict[str, Any]] = _TABLES['variants']
-"""Model, and differences in `network` and `training`, by name."""
 
 
-def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConfig:
-    """Return the training run of a model.
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A network that is trained and compared.
+
+    Attributes:
+        model: One of `mixtac_learning.train.config.MODELS`; by default that of its own name.
+        network: Fields of its configuration that differ from the sizes.
+        training: Training settings that differ from the sizes.
+        sizes: Key of `Sizes.training` and `Sizes.network`.
+        label: Name in reports.
+        colour: Colour in figures.
+        on_request: Whether the table has it only where it is named.
+    """
+
+    model: str
+    network: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
+    sizes: str = 'paper'
+    label: str = ''
+    colour: str = ''
+    on_request: bool = False
+
+
+NETWORKS = {
+    name: structure({'model': name, **values}, Network, f'{_PATH}: {name}')
+    for name, values in _TABLES['networks'].items()
+}
+"""Networks by name."""
+
+
+def run_config(sizes: Sizes, name: str, seed: int, data: DataConfig) -> RunConfig:
+    """Return the training run of a network.
 
     Args:
         sizes: Training settings.
-        model: A model, or one of `VARIANTS`.
+        name: One of `NETWORKS`.
         seed: Seed of initial weights and order.
         data: Training trials.
     """
-    variant = {'network': {}, 'training': {}} | VARIANTS.get(model, {'model': model})
-    ours = variant['model'] == OURS
-    training = sizes.our_training if ours else sizes.paper_training
+    chosen = NETWORKS[name]
+    training = sizes.training[chosen.sizes]
     if data.simulated is not None and data.simulated.session:
-        training = training | sizes.session_training.get(OURS if ours else 'paper', {})
+        training = training | sizes.session_training.get(chosen.sizes, {})
     return RunConfig(
-        model=variant['model'],
-        network=variant['network'] if ours else sizes.paper_network | variant['network'],
-        training=training | variant['training'] | {'seed': seed},
+        model=chosen.model,
+        network=sizes.network.get(chosen.sizes, {}) | chosen.network,
+        training=training | chosen.training | {'seed': seed},
         data=data,
     )
 
@@ -195,7 +221,7 @@ class Row:
         name: What was measured.
         ours: Our value.
         paper: Value of the paper; None if the paper gives none.
-        place: Section, figure or table of the paper; empty without a value of the paper.
+        place: Section, figure or table of the paper.
         unit: Unit of both values; empty for ratios.
         conditions: Conditions of our measurement.
         simulated: Whether the data are simulated.
@@ -215,58 +241,40 @@ class Outcome:
     """Result of an experiment.
 
     Attributes:
-        name: Name of the experiment.
-        title: Display name.
-        paper: What the paper did, in a sentence or two.
         data: Data set: name, seeds, preset, sizes.
         rows: Values beside those of the paper.
         figures: Image files by caption.
-        deviations: Differences from the paper's protocol.
     """
 
-    name: str
-    title: str
-    paper: str
     data: str
     rows: list[Row] = field(default_factory=list)
     figures: dict[str, Path] = field(default_factory=dict)
-    deviations: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return values ready for JSON; figures by their file names."""
-        return asdict(self) | {
-            'rows': [asdict(row) | {'ours': row.ours.as_dict()} for row in self.rows],
-            'figures': {caption: path.name for caption, path in self.figures.items()},
-        }
-
-
-def texts(name: str) -> dict[str, Any]:
-    """Return the fields of `Outcome` that `texts.yaml` gives for an experiment.
-
-    Experiments that draw the forces of models also have a `caption` of their figure.
-    """
-    found: dict[str, Any] = read_data(_PATH.with_name('texts.yaml'))[name]
-    return {'name': name, **found, 'deviations': tuple(found['deviations'])}
+        rows = [asdict(row) | {'ours': row.ours.as_dict()} for row in self.rows]
+        figures = {caption: path.name for caption, path in self.figures.items()}
+        return {'data': self.data, 'rows': rows, 'figures': figures}
 
 
 def write_report(
-    folder: Path, outcomes: Sequence[Outcome], run: dict[str, Any], json: Path | None = None
+    folder: Path, outcomes: Mapping[str, Outcome], run: dict[str, Any], json: Path | None = None
 ) -> str:
     """Write `report.md` and `report.json`; return the text of `report.md`.
 
     Args:
         folder: Folder of the report.
-        outcomes: Results of the experiments.
+        outcomes: Results of the experiments, by name.
         run: Description of the run: command, sizes, seeds, versions.
         json: Another file for the content of `report.json`; None for none.
     """
-    experiments = [outcome.as_dict() for outcome in outcomes]
+    experiments = [{'name': name} | outcome.as_dict() for name, outcome in outcomes.items()]
     rows = [{'experiment': each['name']} | row for each in experiments for row in each['rows']]
     for path in (folder / 'report.json', json):
         write_json(path, {'run': run, 'rows': rows, 'experiments': experiments})
     lines: list[str] = []
-    for outcome in outcomes:
-        lines += [f'### {outcome.title}', '', f'{outcome.data}.', '']
+    for name, outcome in outcomes.items():
+        lines += [f'### {name}', '', f'{outcome.data}.', '']
         lines += ['| what | ours | paper | unit |', '|---|---:|---:|---|']
         for row in outcome.rows:
             paper = '' if row.paper is None else number(row.paper)
@@ -286,8 +294,6 @@ def number(value: float) -> str:
     return f'{value:.3g}'
 
 
-# typer evaluates these under Python 3.10.
-OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 ALL = 'all'
 
 
@@ -345,7 +351,7 @@ class Context:
             return [*self.progress.track(found, task_id=bar)]
 
 
-def command(name: str, text: str) -> Callable[..., list[Outcome]]:
+def command(name: str, text: str) -> Callable[..., dict[str, Outcome]]:
     """Return the command that runs an experiment, or all for the name `all`.
 
     It writes the report and returns the results. Finished pieces stay stored where one fails.
@@ -356,20 +362,22 @@ def command(name: str, text: str) -> Callable[..., list[Outcome]]:
     """
 
     def run(
-        more: Annotated[OptionalStrings, typer.Argument(help='Further experiments to run.')] = None,
+        more: Annotated[
+            list[str] | None, typer.Argument(help='Further experiments to run.')
+        ] = None,
         quick: Annotated[
             bool, typer.Option('--quick', help='Run for minutes only; results are meaningless.')
         ] = False,
         json: JsonFile = None,
         out: Annotated[
-            OptionalPath,
+            Path | None,
             typer.Option(help='Output folder; an interrupted run continues there.'),
         ] = None,
         seeds: Annotated[
             int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
         ] = 0,
         jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 0,
-    ) -> list[Outcome]:
+    ) -> dict[str, Outcome]:
         chosen = select([name, *(more or [])])
         size, console = PAPER_SIZES['quick' if quick else 'full'], Console(markup=False)
         folder = out or Path('runs') / f'experiments_{size.name}'
@@ -378,7 +386,7 @@ def command(name: str, text: str) -> Callable[..., list[Outcome]]:
         columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
             context = Context(size, folder, seeds, jobs, progress)
-            outcomes = [each(context) for each in chosen.values()]
+            outcomes = {each: function(context) for each, function in chosen.items()}
         options = ['--quick'] * quick + [f'--seeds {seeds}', f'--out {folder.name}']
         minutes = (time.monotonic() - started) / 60
         python = platform.python_version()
@@ -405,7 +413,7 @@ def command(name: str, text: str) -> Callable[..., list[Outcome]]:
 all_experiments = command(ALL, 'Run all experiments of the paper.')
 
 
-def experiment(function: Callable[[Context], Outcome]) -> Callable[..., list[Outcome]]:
+def experiment(function: Callable[[Context], Outcome]) -> Callable[..., dict[str, Outcome]]:
     """Make a function `Context -> Outcome` a command; its docstring is the help."""
     made = command(function.__name__, str(function.__doc__))
     made.run = function  # type: ignore[attr-defined]

@@ -11,11 +11,11 @@ estimates. In the tables, the protocol `paper` splits the trials of one session 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal
 
 import joblib
 import numpy as np
@@ -30,18 +30,16 @@ from mixtac_fger.weights import Model as Weights
 from mixtac_fger.weights import read_model, write_model
 from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
+    NETWORKS,
     PRESET,
     TABLE_SIZES,
-    VARIANTS,
     Context,
-    OptionalStrings,
     Outcome,
     Row,
     Sizes,
     Value,
     code_version,
     run_config,
-    texts,
 )
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
 from mixtac_learning.judge.metrics import by_profile, measure
@@ -52,29 +50,13 @@ from mixtac_learning.trials.samples import prepare
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.world.plans import TrialSpec, session_plan, training_plan
 
-
-class Model(NamedTuple):
-    """How a model appears in reports."""
-
-    label: str
-    colour: str
-
-
-MODELS = {
-    OURS: Model('FGER-Net, small (ours)', '#0072b2'),
-    'fger': Model("FGER-Net, the paper's layers", '#009e73'),
-    'frames': Model('frames only', '#e69f00'),
-    'events': Model('events only', '#d55e00'),
-    'fusion': Model('feature-level fusion', '#cc79a7'),
-}
-"""Colours that stay distinct without colour vision (Okabe and Ito 2008)."""
 JUDGED = {
     'dynamic': (OURS, 'fger', 'frames', 'events'),
     'static': (OURS, 'fger', 'fusion'),
     'long_term': (OURS, 'fger'),
     'impact': (OURS, 'fger'),
 }
-"""Models that are evaluated on each profile."""
+"""Networks that are evaluated on each profile."""
 Estimates = dict[str, dict[int, list[TrialEstimate]]]
 """Estimates by model and seed."""
 PROFILES = tuple(JUDGED)
@@ -112,13 +94,6 @@ def describe(sizes: Sizes, profile: str) -> str:
         f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
         f' days (trial seeds from {FIRST_TEST})'
     )
-
-
-def deviations(sizes: Sizes) -> tuple[str, ...]:
-    """Return the differences from the paper wherever models are trained."""
-    values = {'trials': sizes.trials, 'seconds': sizes.seconds}
-    values |= sizes.paper_network | sizes.paper_training
-    return tuple(each.format(**values) for each in texts('training')['deviations'])
 
 
 Case = tuple[str, int]
@@ -166,24 +141,42 @@ def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
     )
 
 
-def estimates(
-    context: Context, title: str, tests: Sequence[tuple[TrialSpec, Mapping[Case, Weights]]]
-) -> Estimates:
-    """Return the estimates of models on test trials.
+def train_and_test(
+    context: Context,
+    title: str,
+    models: Sequence[str],
+    data: Callable[[int], DataConfig],
+    tests: Callable[[int], Sequence[TrialSpec]],
+) -> tuple[dict[Case, Weights], Estimates]:
+    """Return trained networks, and their estimates of test trials.
 
     Args:
         context: The run.
         title: Title of the progress bar.
-        tests: Test trials; with each the models that it tests.
+        models: Names of the networks.
+        data: Training trials of a seed.
+        tests: Test trials of a seed; a trial of several seeds is simulated once.
 
     Raises:
         MixtacError: A trial cannot be used.
     """
+    weights = train(
+        context,
+        {
+            (model, seed): run_config(context.sizes, model, seed, data(seed))
+            for model in models
+            for seed in range(context.seeds)
+        },
+    )
+    tested: dict[TrialSpec, dict[Case, Weights]] = {}
+    for (model, seed), trained in weights.items():
+        for spec in tests(seed):
+            tested.setdefault(spec, {})[model, seed] = trained
     found: Estimates = {}
-    for result in context.run(f'{title}: testing', _judge, tests, stored=False):
+    for result in context.run(f'{title}: testing', _judge, [*tested.items()], stored=False):
         for (model, seed), estimate in result.items():
             found.setdefault(model, {}).setdefault(seed, []).append(estimate)
-    return found
+    return weights, found
 
 
 def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialEstimate]:
@@ -195,7 +188,7 @@ def _judge(spec: TrialSpec, models: Mapping[Case, Weights]) -> dict[Case, TrialE
 
 @cache
 def profile_estimates(context: Context, profile: str) -> Estimates:
-    """Return the estimates of the models of a profile on its test trials; trains what is missing.
+    """Return the estimates of the networks of a profile on its test trials; trains what is missing.
 
     Args:
         context: The run.
@@ -204,51 +197,31 @@ def profile_estimates(context: Context, profile: str) -> Estimates:
     Raises:
         MixtacError: Trials cannot be used.
     """
-    sizes, models = context.sizes, JUDGED[profile]
-    weights = train(
+    sizes = context.sizes
+    return train_and_test(
         context,
-        {
-            (model, seed): run_config(sizes, model, seed, training_data(sizes, seed))
-            for seed in range(context.seeds)
-            for model in models
-        },
-    )
-    tests = [
-        (spec, {(model, seed): weights[model, seed] for model in models})
-        for seed in range(context.seeds)
-        for spec in test_trials(sizes, seed, profile)
-    ]
-    return estimates(context, profile, tests)
-
-
-CONDITIONS = {'dynamic': 'dynamic trials', 'static': 'static trials'}
-"""Trials of an error by profile; an error of another profile is of all its trials."""
+        profile,
+        JUDGED[profile],
+        lambda seed: training_data(sizes, seed),
+        lambda seed: test_trials(sizes, seed, profile),
+    )[1]
 
 
 def force_outcome(
-    context: Context, profile: str, name: str, found: Estimates, rows: list[Row], figure: Path
+    context: Context, profile: str, found: Estimates, rows: list[Row], figures: dict[str, Path]
 ) -> Outcome:
-    """Return the outcome of an experiment that compares models on one profile.
+    """Return the outcome of an experiment that compares networks on one profile.
 
     Args:
         context: The run.
         profile: One of `JUDGED`.
-        name: Name of the experiment.
-        found: Estimates of the models.
+        found: Estimates of the networks.
         rows: Rows of the experiment; one of the best constant is added.
-        figure: Picture of the estimates.
+        figures: Pictures of the estimates, by caption.
     """
-    text = texts(name)
-    text['deviations'] = (*deviations(context.sizes), *text['deviations'])
     constant = Value.of(pooled(each)['constant_mae'] for each in found[OURS].values())
-    trials = CONDITIONS.get(profile, 'whole trials')
-    last = Row('best constant: MAE', constant, None, '', 'N', trials)
-    return Outcome(
-        data=describe(context.sizes, profile),
-        rows=[*rows, last],
-        figures={text.pop('caption'): figure},
-        **text,
-    )
+    last = Row('best constant: MAE', constant, None, '', 'N', f'{profile} trials')
+    return Outcome(describe(context.sizes, profile), [*rows, last], figures)
 
 
 def pooled(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
@@ -279,7 +252,7 @@ def error_rows(
             f'{name}: {title}',
             Value.of(each.get(key, math.nan) for each in metrics),
             paper.get(key),
-            place if key in paper else '',
+            place,
             unit,
             conditions,
         )
@@ -296,12 +269,6 @@ def rate_hz(estimates: Sequence[TrialEstimate]) -> float:
 PROTOCOLS = ('paper', 'other_days')
 """One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
 days of a sensor and tested on others."""
-ROWS = (
-    *('frames', 'frames_reference', 'events', 'fusion', 'fusion_reference'),
-    *('fger', 'fger_reference', OURS),
-)
-"""Models of the table, in order."""
-ALL_ROWS = tuple(dict.fromkeys((*ROWS, *VARIANTS)))
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 TRAINING = 'training'
@@ -397,13 +364,14 @@ def cell(value: dict[str, Any] | None) -> str:
 def models(
     seeds: Annotated[int, typer.Option(min=1, help='Trainings per model, with as many seeds.')] = 3,
     model: Annotated[
-        OptionalStrings, typer.Option(help='Only this model; may be given more than once.')
+        list[str] | None, typer.Option(help='Only this model; may be given more than once.')
     ] = None,
     size: Annotated[
-        str, typer.Option(help='full (CPU, hours), native (GPU) or quick (minutes).')
+        Literal['full', 'native', 'quick'],
+        typer.Option(help='full (CPU, hours), native (GPU) or quick (minutes).'),
     ] = 'full',
     protocol: Annotated[
-        OptionalStrings,
+        list[str] | None,
         typer.Option(help='paper: one session split 8:2; other_days; by default both.'),
     ] = None,
     quick: Annotated[
@@ -418,19 +386,17 @@ def models(
     """Train all models on one simulated sensor and test them on fresh trials: one table."""
     if quick:
         size, seeds = 'quick', 1
-    for name, known, kind in (
-        *((each, ALL_ROWS, 'model') for each in model or ()),
-        *((each, PROTOCOLS, 'protocol') for each in protocol or ()),
-        (size, TABLE_SIZES, 'size'),
-    ):
-        if name not in known:
-            raise ConfigError(f'unknown {kind} {name!r}', remedy=f'choose from {", ".join(known)}')
-    chosen = [name for name in ALL_ROWS if name in (model or ROWS)]
+    for names, known in ((model, NETWORKS), (protocol, PROTOCOLS)):
+        for name in set(names or ()).difference(known):
+            raise ConfigError(f'{name!r} is unknown', remedy=f'choose from {", ".join(known)}')
+    chosen = [
+        name for name, each in NETWORKS.items() if (name in model if model else not each.on_request)
+    ]
     protocols = [name for name in PROTOCOLS if name in (protocol or PROTOCOLS)]
     console = Console(markup=False)
     with Progress(console=console, transient=True) as progress:
         context = Context(TABLE_SIZES[size], out, seeds, jobs, progress)
-        tables = {each: train_and_test(context, chosen, each) for each in protocols}
+        tables = {each: table_of(context, chosen, each) for each in protocols}
     rows: list[dict[str, Any]] = []
     for each, table in tables.items():
         found = rows_of(table, each, size)
@@ -442,17 +408,12 @@ def models(
     write_json(json, result | {'table': tables.get('other_days', {})})
 
 
-def train_and_test(context: Context, chosen: list[str], protocol: str) -> dict[str, Any]:
-    """Return the table of some models, as `aggregate` does."""
-    sizes, data = context.sizes, table_data(context.sizes, protocol)
-    configs = {
-        (name, seed): run_config(sizes, name, seed, data)
-        for name in chosen
-        for seed in range(context.seeds)
-    }
-    weights = train(context, configs)
-    cost: dict[str, list[float]] = {name: [] for name in chosen}
+def table_of(context: Context, chosen: Sequence[str], protocol: str) -> dict[str, Any]:
+    """Return the table of some networks, as `aggregate` does."""
+    data = table_data(context.sizes, protocol)
+    tests = test_specs(context.sizes, protocol)
+    weights, found = train_and_test(context, protocol, chosen, lambda _: data, lambda _: tests)
+    cost: dict[str, list[float]] = {}
     for (name, _), trained in weights.items():
-        cost[name].append(trained.card.training[COST])
-    tests = [(spec, weights) for spec in test_specs(sizes, protocol)]
-    return aggregate(estimates(context, protocol, tests), cost)
+        cost.setdefault(name, []).append(trained.card.training[COST])
+    return aggregate(found, cost)

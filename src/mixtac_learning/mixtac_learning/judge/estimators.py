@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -228,36 +228,29 @@ def _estimate(
     )
 
 
-@dataclass(slots=True)
-class Judged:
-    """Estimates of trials.
-
-    Attributes:
-        estimates: Estimates of those that could be used.
-        skipped: Why the others could not, by name.
-    """
-
-    estimates: list[TrialEstimate] = field(default_factory=list)
-    skipped: dict[str, str] = field(default_factory=dict)
-
-
-def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> Judged:
+def judge_sources(
+    estimator: TrialEstimator, sources: Iterable[TrialSource]
+) -> tuple[list[TrialEstimate], dict[str, str]]:
     """Estimate all trials, one in memory at a time.
 
     Args:
         estimator: The model.
         sources: Trials.
 
+    Returns:
+        Estimates of the trials that can be used; why the others cannot, by name.
+
     Raises:
         DatasetError: No trial can be used.
     """
-    judged = Judged()
+    found: list[TrialEstimate] = []
+    skipped: dict[str, str] = {}
     for source in sources:
         try:
-            judged.estimates.append(estimator(source.load()))
+            found.append(estimator(source.load()))
         except MixtacError as error:
-            judged.skipped[source.name] = str(error)
-    if not judged.estimates:
-        first = next(iter(judged.skipped.values()), 'there are none')
-        raise DatasetError(f'none of {len(judged.skipped)} trials can be evaluated: {first}')
-    return judged
+            skipped[source.name] = str(error)
+    if not found:
+        first = next(iter(skipped.values()), 'there are none')
+        raise DatasetError(f'none of {len(skipped)} trials can be evaluated: {first}')
+    return found, skipped

@@ -22,7 +22,6 @@ from mixtac_core.recordings.bag import distinct_names
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import read_model
 from mixtac_learning.judge.estimators import (
-    Judged,
     TrialEstimate,
     TrialEstimator,
     judge_sources,
@@ -181,7 +180,7 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
 
 def judge_bags(
     path: Path, folders: Sequence[Path], reference: str = REFERENCE
-) -> tuple[Judged, dict[str, Any]]:
+) -> tuple[list[TrialEstimate], dict[str, Any]]:
     """Judge a model on bags against the force that is known of each.
 
     A bag that is named itself is always judged. Of a folder of bags that `dataset.yaml` describes
@@ -193,7 +192,8 @@ def judge_bags(
         reference: Topic of the reference force.
 
     Returns:
-        The estimates; and for JSON the names of the `bags`, `metrics` by profile, and `rows`.
+        The estimates; and for JSON the names of the `bags`, `metrics` by profile, `rows`, and why
+        bags were `skipped`.
 
     Raises:
         ModelError: The weight file cannot be used.
@@ -204,15 +204,17 @@ def judge_bags(
     if known := ', '.join(bag.name for bag in chosen if bag.path.name in trained):
         warning = 'warning: the model was trained on bags of these names:'
         print(warning, known, file=sys.stderr)
-    judged = judge_sources(trial_estimator(model), track(chosen, 'judging', transient=True))
+    sources = track(chosen, 'judging', transient=True)
+    estimates, skipped = judge_sources(trial_estimator(model), sources)
     for bag in chosen:
-        if bag.name not in judged.skipped and (damage := bag.damage()):
+        if bag.name not in skipped and (damage := bag.damage()):
             print(f'warning: {bag.name}: {damage}', file=sys.stderr)
     paths = {bag.name: str(bag.path) for bag in chosen}
-    return judged, {
+    return estimates, {
         'bags': list(paths),
-        'metrics': {'bags': by_profile(judged.estimates)},
-        'rows': [trial_row(each) | {'bag': paths[each.name]} for each in judged.estimates],
+        'metrics': {'bags': by_profile(estimates)},
+        'rows': [trial_row(each) | {'bag': paths[each.name]} for each in estimates],
+        'skipped': skipped,
     }
 
 
@@ -234,7 +236,7 @@ def _chosen_bags(folders: Sequence[Path], reference: str) -> list[BagSource]:
 
 def judge_devices(
     estimator: TrialEstimator, devices: Sequence[int], seconds: float, seed: int, preset: str
-) -> tuple[Judged, dict[str, dict[str, Any]]]:
+) -> tuple[list[TrialEstimate], dict[str, Any]]:
     """Judge a model on simulated sensors, raw and with one gain per sensor from one press.
 
     Args:
@@ -245,7 +247,7 @@ def judge_devices(
         preset: How difficult the trials are.
 
     Returns:
-        The estimates, and figures by profile.
+        The estimates; and for JSON `metrics` by profile, `rows`, and why trials were `skipped`.
 
     Raises:
         MixtacError: No trial can be used, or the model does not see a press.
@@ -261,13 +263,17 @@ def judge_devices(
     pressed = [estimator(source.load()) for source in presses]
     scales = {press.device: fit_scale(press.force, press.known) for press in pressed}
     trials = sources(evaluation_plan(chosen, seconds, seed, preset=preset), 'judging')
-    judged = judge_sources(estimator, trials)
-    return judged, by_profile(judged.estimates, scales)
+    estimates, skipped = judge_sources(estimator, trials)
+    return estimates, {
+        'metrics': {'unseen_devices': by_profile(estimates, scales)},
+        'rows': [trial_row(each) for each in estimates],
+        'skipped': skipped,
+    }
 
 
 def judge_unseen(
     path: Path, gels: int, seconds: float, seed: int, preset: str
-) -> tuple[Judged, dict[str, Any]]:
+) -> tuple[list[TrialEstimate], dict[str, Any]]:
     """Judge a model on simulated sensors that no training has used.
 
     Args:
@@ -278,16 +284,13 @@ def judge_unseen(
         preset: How difficult the trials are.
 
     Returns:
-        The estimates; and for JSON the options as `simulated`, `metrics` by profile, and `rows`.
+        As `judge_devices`, for JSON with the options as `simulated`.
 
     Raises:
         ModelError: The weight file cannot be used.
         MixtacError: As `judge_devices`.
     """
     estimator, devices = trial_estimator(read_model(path)), unseen_devices(gels, seed)
-    judged, figures = judge_devices(estimator, devices, seconds, seed, preset)
-    return judged, {
-        'simulated': {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset},
-        'metrics': {'unseen_devices': figures},
-        'rows': [trial_row(each) for each in judged.estimates],
-    }
+    estimates, content = judge_devices(estimator, devices, seconds, seed, preset)
+    options = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
+    return estimates, {'simulated': options} | content

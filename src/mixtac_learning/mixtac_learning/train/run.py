@@ -302,11 +302,11 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     if config.start:
         before = trial_estimator(read_model(find_model(config.start)))
         return {
-            name: by_profile(judge_sources(each, trained.held).estimates)
+            name: by_profile(judge_sources(each, trained.held)[0])
             for name, each in (('before', before), ('after', estimator))
         }
     if data is None or config.judged < 1:
         return {}
     devices, preset = unseen_devices(config.judged, 0), data.presets[0]
-    _, figures = judge_devices(estimator, devices, EVALUATION_SECONDS, 1, preset)
-    return {'unseen_devices': figures}
+    _, content = judge_devices(estimator, devices, EVALUATION_SECONDS, 1, preset)
+    return dict(content['metrics'])

@@ -44,9 +44,9 @@ def test_a_report_holds_all_rows(tmp_path):
     figure = tmp_path / 'a.png'
     row = Row('x < y: MAE', Value(0.05, 0.01, 3, 'seeds'), 0.04, 'section 1', 'N', 'dark & cold')
     cited = Row('other', Value.of([]), 0.8, 'table', 'N', 'cited', False)
-    outcome = Outcome('inputs', 'Inputs', 'p', 'd', [row, cited], {'c': figure}, ('smaller',))
+    outcome = Outcome('d', [row, cited], {'c': figure})
     path = tmp_path / 'sub' / 'rows.json'
-    write_report(tmp_path, [outcome], {'seeds': 3}, path)
+    write_report(tmp_path, {'inputs': outcome}, {'seeds': 3}, path)
     text = (tmp_path / 'report.md').read_text(encoding='utf-8')
     assert '0.05 ± 0.01 (3 seeds)' in text
     assert str(Value(517_040.0, 0.0, 1, '')) == '517,040'
@@ -79,7 +79,7 @@ def test_rows_spread_over_seeds():
     ]
     assert mae.ours.mean == pytest.approx(np.mean(values))
     assert mae.ours.spread == pytest.approx(np.std(values, ddof=1))
-    assert (mae.paper, mae.place, rmse.paper, rmse.place) == (0.04, 'p', None, '')
+    assert (mae.paper, mae.place, rmse.paper) == (0.04, 'p', None)
     assert r2.unit == ''
 
 

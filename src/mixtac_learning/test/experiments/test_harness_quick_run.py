@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments from training to report, as small as they can be."""
+"""All experiments with --quick, from training to report, on toy trials."""
 
 from __future__ import annotations
 
@@ -8,54 +8,57 @@ import json
 from dataclasses import replace
 
 import pytest
+from memory_groups import simulation_of
 
-from mixtac_learning.experiments import models, vibration
-from mixtac_learning.experiments.harness import PAPER_SIZES, command
+from mixtac_learning.experiments import EXPERIMENTS, model, models, slip, vibration
+from mixtac_learning.experiments.harness import PAPER_SIZES, all_experiments
 from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
+from mixtac_sim.world import plans
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-QUICK = PAPER_SIZES['quick']
-TINY = replace(
-    QUICK,
-    trials=1,
-    seconds=3.0,
-    tests={'dynamic': (1, 3.0), 'static': (1, 3.0), 'long_term': (1, 3.0), 'impact': (1, 3.5)},
-    paper_network=QUICK.paper_network | {'channels': 8, 'event_widths': (8, 8), 'lstm_size': 8},
-    paper_training=QUICK.paper_training | {'frame_epochs': 1, 'cycles': 10},
-    our_training={'frame_epochs': 1, 'recurrent_epochs': 1, 'joint_epochs': 1},
-    tones_hz=(70.0,),
-    fast_tones_hz=(),
-)
+pytestmark = pytest.mark.timeout(600)
+SLIPPED = dict.fromkeys(('slip_mm', 'detection_ms', 'arrest_ms', 'held', 'open_held'), 1.0) | {
+    'course_mm': [0.0] * len(slip.COURSE_MS)
+}
+"""Result of a trial of slip; test_slip.py runs one."""
 
 
 def carried_out(folder):
-    run, json_file = command('fusion', ''), folder / 'rows.json'
-    outcomes = run(['vibration'], quick=True, json=json_file, out=folder, seeds=1, jobs=1)
-    return {each.name: each for each in outcomes}
+    return all_experiments(quick=True, json=folder / 'rows.json', out=folder, seeds=1, jobs=1)
 
 
 @pytest.fixture(scope='module')
-def finished(tmp_path_factory):
+def finished(tmp_path_factory, trial):
+    sizes = replace(PAPER_SIZES['quick'], tones_hz=(70.0,), fast_tones_hz=())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PAPER_SIZES, 'quick', TINY)
+        patch.setitem(PAPER_SIZES, 'quick', sizes)
         patch.setitem(SIZES_MM, PRESSED, (0.1,))
         patch.setitem(SIZES_MM, TAPPING, (1.0,))
         patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))
+        patch.setattr(slip, '_trial', lambda _plan: SLIPPED)
+        patch.setattr(model, 'REPETITIONS', 1)
+        toy = simulation_of(trial)
+        patch.setattr(plans, 'simulate', lambda _spec: toy)
         folder = tmp_path_factory.mktemp('run')
         yield folder, carried_out(folder)
 
 
 def test_report_says_what_was_measured_on_what(finished):
     folder, outcomes = finished
-    page = (folder / 'report.md').read_text(encoding='utf-8')
-    rows = json.loads((folder / 'rows.json').read_text(encoding='utf-8'))['rows']
-    assert {row['experiment'] for row in rows} == {'fusion', 'vibration'}
-    assert all(row['simulated'] for row in rows)
-    assert all(row['ours']['count'] == 1 for row in rows)
-    maes = [row for row in rows if row['name'].endswith(': MAE') and row['paper']]
+    names = [name for name in EXPERIMENTS if name not in {'all', 'models'}]
+    content = json.loads((folder / 'rows.json').read_text(encoding='utf-8'))
+    assert [each['name'] for each in content['experiments']] == list(outcomes) == names
+    assert all('paper_like' in each['data'] for each in content['experiments'])
+    rows = {name: [r for r in content['rows'] if r['experiment'] == name] for name in names}
+    assert all(rows.values())
+    assert {name for name in names if not rows[name][0]['simulated']} == {'model'}
+    maes = [row for row in rows['fusion'] if row['name'].endswith(': MAE') and row['paper']]
     assert sorted(row['paper'] for row in maes) == [0.04, 0.04, 0.1]
-    assert all(path.stat().st_size > 5000 for o in outcomes.values() for path in o.figures.values())
-    assert 'paper_like' in page
+    assert all(row['ours']['count'] == 1 for row in maes)
+    pictures = [path for each in outcomes.values() for path in each.figures.values()]
+    assert len(pictures) == 6
+    assert all(path.stat().st_size > 5000 for path in pictures)
+    page = (folder / 'report.md').read_text(encoding='utf-8')
+    assert all(f'### {name}\n' in page for name in names)
 
 
 def test_a_second_run_trains_nothing_again(finished, monkeypatch):
@@ -67,4 +70,5 @@ def test_a_second_run_trains_nothing_again(finished, monkeypatch):
     monkeypatch.setattr(models, 'train_model', refuse)
     monkeypatch.setattr(vibration, 'shake', refuse)
     again = carried_out(folder)
-    assert again['fusion'].rows == first['fusion'].rows
+    for name in ('fusion', 'vibration'):
+        assert again[name].rows == first[name].rows

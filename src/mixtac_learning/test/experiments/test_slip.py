@@ -12,15 +12,17 @@ from mixtac_learning.experiments.slip import (
     SensedForce,
     TrialPlan,
     arrest_of,
+    finish_trial,
     press_gain,
-    run_trial,
+    start_trial,
 )
 
 PLAN = TrialPlan('box', 3, 1.03, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
 
 
 def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:
-    result, record = run_trial(PLAN)
+    loop = start_trial(PLAN)
+    result, course = finish_trial(PLAN, loop), loop.course
     assert result['held']
     assert not result['open_held']
     assert result['false_alarms'] == 0
@@ -28,9 +30,9 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
     assert result['rejected'] == 0
     assert 0.0 < result['detection_ms'] <= 3.0
     # It has pressed to the margin before the knock; the rest is the answer.
-    pressed = record.advance_mm[record.t_us < 1e6 * KNOCK_S].max()
+    pressed = course['advance_mm'][course['t_us'] < 1e6 * KNOCK_S].max()
     assert result['knock_share'] > 1.05
-    assert record.advance_mm[-1] > pressed + 5e-3
+    assert result['advance_mm'] > pressed + 5e-3
     assert result['peak_n'] < PLAN.settings.max_force
     assert result['stopped'] == ''
 
