@@ -10,6 +10,7 @@ import fcntl
 import os
 import runpy
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -364,3 +365,31 @@ def commands() -> dict[str, Any]:
 
     walk(root(), ())
     return found
+
+
+@pytest.fixture
+def run_example(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
+    """Return a function that runs an example and returns what it prints.
+
+    It runs in the test's process, and so do the commands of `mixtac` that it starts.
+    """
+    from mixtac.main import main
+
+    def call(command: list[Any], **options: Any) -> Any:  # noqa: ANN401
+        if command[1:3] != ['-m', 'mixtac']:
+            return start(command, **options)
+        assert main(list(map(str, command[3:]))) == 0
+        return None
+
+    def run(name: str, *words: Any) -> str:  # noqa: ANN401
+        pytest.importorskip('matplotlib').use('Agg')
+        monkeypatch.setattr(sys, 'argv', [name, *map(str, words)])
+        runpy.run_path(str(ROOT / 'examples' / f'{name}.py'), run_name='__main__')
+        return capsys.readouterr().out
+
+    start = subprocess.run
+    monkeypatch.setattr(subprocess, 'run', call)
+    monkeypatch.chdir(tmp_path)
+    return run

@@ -99,7 +99,7 @@ SEED_FRAMES = 4
 RATIOS = ('memcpy_ratio', 'output_memcpy_ratio')
 """Time to decode over the time to copy the stream, and over that to copy the size of the output."""
 MIN_TURNS = 5
-STARTS = 4
+STARTS = 2
 PIECE_BYTES = 4 * TRANSFER_BYTES
 START = (
     'import time; start = time.perf_counter()\n'

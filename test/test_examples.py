@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -14,24 +13,21 @@ from pathlib import Path
 
 import pytest
 
+from mixtac_sim.bags.trial_bag import write_trial
+from mixtac_sim.world.plans import plan_profile
+
 pytestmark = pytest.mark.timeout(600)  # a busy machine may take its time
 EXAMPLES = Path(__file__).resolve().parents[1] / 'examples'
-
-
-def run(folder: Path, *words: str) -> str:
-    """Run Python in a folder without a screen; return what it prints."""
-    environment, command = {**os.environ, 'MPLBACKEND': 'Agg'}, [sys.executable, *words]
-    return subprocess.check_output(command, cwd=folder, env=environment, text=True)
 
 
 @pytest.fixture(scope='module')
 def bags(tmp_path_factory) -> Path:
     """Return a folder with two copies of a simulated trial of five seconds, tapped at both ends."""
     folder = tmp_path_factory.mktemp('trials')
-    options = ('--profile', 'dynamic', '--trials', '1', '--seconds', '5', '--seed', '3')
-    run(folder, '-m', 'mixtac', 'simulate', *options, '--out', 'made')
+    spec = plan_profile('dynamic', 1, 5.0, 3)[0]
+    write_trial(spec, folder)
     for name in ('a', 'b'):
-        shutil.copytree(folder / 'made' / 'trial_000', folder / 'bags' / name)
+        shutil.copytree(folder / spec.name, folder / 'bags' / name)
     return folder / 'bags'
 
 
@@ -46,12 +42,12 @@ def bags(tmp_path_factory) -> Path:
         ('train_on_own_bags', ('BAGS',), 'wrote mine.safetensors'),
     ],
 )
-def test_an_example_runs_on_recordings(tmp_path, bags, name, options, printed):
+def test_an_example_runs_on_recordings(run_example, bags, name, options, printed):
     if name.startswith('train'):
         pytest.importorskip('torch', reason='needs the extra learn')
     places = {'BAG': str(bags / 'a'), 'BAGS': str(bags)}
     words = [places.get(each, each) for each in options]
-    assert re.search(printed, run(tmp_path, str(EXAMPLES / f'{name}.py'), *words))
+    assert re.search(printed, run_example(name, *words))
 
 
 @pytest.mark.dds

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from mixtac.latest import SensorError
@@ -91,7 +90,7 @@ def serve(scenario: str) -> None:
         sensor = make_virtual_sensor(
             device_seed=1, seed=1, skew_ppm=17.0, preset=PAPER_LIKE, process=process
         )
-        server = UsbServer(sensor.device, str(Path(folder) / 'camera.sock'))
+        server = UsbServer(sensor.device, f'{folder}/camera.sock')
         try:
             sensor.start()
             print(json.dumps({'device': f'virtual:{server.path}'}), flush=True)
@@ -106,19 +105,24 @@ def serve(scenario: str) -> None:
             server.close()
 
 
+def leave(*_: object) -> None:
+    """Exit. Later signals are ignored: the other process sends one, and so may a whole group."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(0)
+
+
 def main() -> int:
     """Run the virtual sensor."""
     # Ctrl-C comes to both processes; the other one decides when this one ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    signal.signal(signal.SIGTERM, leave)
     try:
         serve(sys.argv[1] if len(sys.argv) > 1 else NO_CONTACT)
     except (MixtacError, ImportError) as error:
+        # The other process sends one as soon as it has read this.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         print(json.dumps({'device': '', 'error': str(error)}), flush=True)
         return 1
-    finally:
-        # It leaves already.
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return 0
 
 

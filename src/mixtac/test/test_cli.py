@@ -18,29 +18,12 @@ from mixtac.main import main, noting_interrupt
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 
-def mixtac(env: dict[str, str], *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, '-m', 'mixtac', *arguments],
-        env=env,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-
 def assert_one_line(errors: str, *words: str) -> None:
     assert 'Traceback' not in errors
     lines = [line for line in errors.splitlines() if line.startswith('error: ')]
     assert len(lines) == 1, errors
     for word in words:
         assert word in lines[0]
-
-
-def assert_one_clear_line(result: subprocess.CompletedProcess[str], *words: str) -> None:
-    assert result.returncode == 1
-    assert_one_line(result.stderr, *words)
 
 
 INTERRUPTING = """
@@ -61,11 +44,11 @@ sys.exit(main())
 """
 
 
-def test_help_lists_the_commands(ros_domain: dict[str, str], tmp_path: Path):
-    result = mixtac(ros_domain, '--help', cwd=tmp_path)
-    assert result.returncode == 0
+def test_help_lists_the_commands(capsys):
+    assert main(['--help']) == 0
+    shown = capsys.readouterr().out
     for command in ('demo', 'up', 'inspect', 'train', 'evaluate'):
-        assert command in result.stdout
+        assert command in shown
 
 
 def test_help_is_shown_as_it_is_written(commands):
@@ -111,9 +94,16 @@ def test_ctrl_c_while_llvm_calls_back_ends_what_follows():
     assert returned
 
 
-def test_an_unknown_device_is_refused(ros_domain: dict[str, str], tmp_path: Path):
-    result = mixtac(ros_domain, 'up', '--device', 'gelsight', '--seconds', '20', cwd=tmp_path)
-    assert_one_clear_line(result, 'gelsight', 'virtual')
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        (['--device', 'gelsight'], ('gelsight', 'virtual')),
+        (['--device', 'virtual', '--model', 'nowhere.safetensors'], ('nowhere.safetensors',)),
+    ],
+)
+def test_up_refuses_what_does_not_exist_before_anything_starts(options, words, capsys):
+    assert main(['up', *options]) == 1
+    assert_one_line(capsys.readouterr().err, *words)
 
 
 @pytest.mark.parametrize('content', [None, b'no recording'])
@@ -125,25 +115,14 @@ def test_up_refuses_what_is_no_recording(content, tmp_path, capsys):
     assert_one_line(capsys.readouterr().err, 'run.mcap')
 
 
-def test_no_camera_names_the_virtual_one(ros_domain: dict[str, str], tmp_path: Path):
+@pytest.mark.dds
+def test_the_error_of_a_node_is_that_of_up(ros_domain: dict[str, str], tmp_path: Path):
     usb = Path('/sys/bus/usb/devices')
     if any(each.read_text().strip() == '152a' for each in usb.glob('*/idVendor')):
         pytest.skip('an iniVation camera is attached to this machine')
-    result = mixtac(ros_domain, 'up', '--seconds', '20', cwd=tmp_path)
-    assert_one_clear_line(result, 'device:=virtual')
-
-
-def test_up_refuses_a_missing_model_before_anything_starts(
-    ros_domain: dict[str, str], tmp_path: Path
-):
-    options = ('--device', 'virtual', '--model', 'nowhere.safetensors')
-    assert_one_clear_line(mixtac(ros_domain, 'up', *options, cwd=tmp_path), 'nowhere.safetensors')
-
-
-@pytest.mark.dds
-def test_the_error_of_a_node_is_that_of_up(ros_domain: dict[str, str], tmp_path: Path):
-    params = tmp_path / 'params.yaml'
-    params.write_text('/**/fger:\n  ros__parameters:\n    model: nowhere.safetensors\n')
-    options = ('--device', 'virtual', '--params-file', str(params), '--seconds', '30')
-    result = mixtac(ros_domain, 'up', *options, cwd=tmp_path)
-    assert_one_clear_line(result, 'fger', 'nowhere.safetensors')
+    words = [sys.executable, '-m', 'mixtac', 'up', '--seconds', '20']
+    result = subprocess.run(
+        words, env=ros_domain, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1
+    assert_one_line(result.stderr, 'driver', 'device:=virtual')

@@ -20,7 +20,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosbags.highlevel import AnyReader
 
-from mixtac.record import TopicMeter, verdict
+from mixtac.main import main
+from mixtac.record import Listener, TopicMeter, verdict
 from mixtac_core.node.base_node import qos
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile
@@ -96,31 +97,24 @@ def test_rosbags_alone_reads_every_packet_and_its_bytes_are_those_sent(
 
 
 @pytest.mark.dds
-def test_without_a_sensor_nothing_is_recorded(ros_domain, tmp_path):
-    words = command(tmp_path / 'bag', '--wait', '0')
-    result = subprocess.run(
-        words, env=ros_domain, timeout=END_S, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 1
-    assert '/mixtac/events' in result.stderr
+@pytest.mark.usefixtures('ros_domain')
+def test_without_a_sensor_nothing_is_recorded(tmp_path, capfd):
+    assert main(['record', str(tmp_path / 'bag'), '--wait', '0']) == 1
+    assert '/mixtac/events' in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-FAILING = """
-import sys
-from pathlib import Path
-from mixtac.record import Listener
-with Listener.opened('record', 'mixtac') as listener:
-    listener.listen('/ft_sensor/wrench')
-    listener.start(Path(sys.argv[1]))
-    raise SystemExit(3)
-"""
-
-
 @pytest.mark.dds
-def test_an_error_leaves_a_bag_that_is_whole(ros_domain, tmp_path):
-    words = [sys.executable, '-c', FAILING, str(tmp_path / 'bag')]
-    assert subprocess.run(words, env=ros_domain, timeout=END_S, check=False).returncode == 3
+@pytest.mark.usefixtures('ros_domain')
+def test_an_error_leaves_a_bag_that_is_whole(tmp_path):
+    def fail():
+        with Listener.opened('record', 'mixtac') as listener:
+            listener.listen('/ft_sensor/wrench')
+            listener.start(tmp_path / 'bag')
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
     with BagFile(tmp_path / 'bag') as found:
         assert found.damage == ''
 

@@ -83,7 +83,8 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.lstat().st_uid != os.getuid():
         raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
-    path = folder / kernels.replace('/', '.')
+    # Each copy of the sources has compiled kernels of its own.
+    path = folder / f'{__file__[-100:]}-{kernels}'.replace('/', '.')
     with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
         yield
 

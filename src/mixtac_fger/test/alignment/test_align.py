@@ -39,7 +39,7 @@ NO_EVENTS = CellEvents(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0
 @pytest.fixture(scope='module')
 def trial() -> Any:
     world = pytest.importorskip('mixtac_sim.world.trial')
-    return world.simulate_trial(9001, 9001, 'demo', 14.0)
+    return world.simulate_trial(9001, 9001, 'oscillation', 8.0, sync=True)
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def _recording_of(counted: Any, trial: Any, *, frames: bool = True) -> Recording
 def test_a_simulated_trial_is_aligned(recording_of: Any, trial: Any, frames: bool) -> None:
     fit = align(recording_of(trial, frames=frames))
     rate, offset_us = trial.clock
-    at = np.array([1, 7, 13]) * 1_000_000
+    at = np.array([1, 4, 7]) * 1_000_000
     # A camera time maps to the stamp of the sample that shows the force of that moment.
     shown = rate * at + offset_us + trial.reference_delay_us
     error_s = fit.to_reference(at) - 1e-6 * shown

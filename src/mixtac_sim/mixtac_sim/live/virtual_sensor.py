@@ -14,6 +14,7 @@ USB and topics share an interpreter lock, and together they get no more than one
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import multiprocessing
 import os
@@ -267,17 +268,14 @@ class VirtualSensor:
             # A frame must be known before its readout begins, so all that is handed over stays
             # behind the simulation.
             known_us = self._known_us()
-            self._send_until(min(now_us, known_us))
+            self._due_us = max(self._due_us, min(now_us, known_us))
+            self.device.advance(self._due_us)
+            self._release(self._due_us)
             if known_us >= now_us:
                 return
             with self._simulating:
                 if self._known_us() < now_us:
                     self._simulate()
-
-    def _send_until(self, until_us: int) -> None:
-        self._due_us = max(self._due_us, until_us)
-        self.device.advance(self._due_us)
-        self._release(self._due_us)
 
     def _wait_for_host(self) -> bool:
         """Return whether simulated time stops now because the host is behind."""
@@ -366,6 +364,8 @@ class SimulationProcess:
             target=_serve, args=(theirs, self._pipe), name='simulation', daemon=True
         )
         self._process.start()
+        # At the end of this process, multiprocessing sends SIGTERM, and waits.
+        atexit.register(self._process.kill)
         theirs.close()
         self._profile = LiveProfile()
         # Calls of the sensor that go with the next request.
@@ -412,8 +412,8 @@ class SimulationProcess:
 def _serve(pipe: Connection, theirs: Connection) -> None:
     """Simulate on request until the other process ends."""
     theirs.close()
-    # Ctrl-C comes to the whole group of processes; the other end of the pipe decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # These come to the whole group of processes; the other end of the pipe decides.
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     with contextlib.suppress(EOFError, OSError):
         device_seed, trial_seed, indenters, preset = pipe.recv()
         os.nice(AHEAD_NICENESS)
