@@ -21,7 +21,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
-from mixtac_core.node.launch_actions import environment, shared_arguments, value
+from mixtac_core.node.launch_actions import environment, quiet_imports, shared_arguments, value
 from mixtac_core.node.process import STOP_GRACE_S, GraphError
 from mixtac_core.node.topics import REFERENCE
 
@@ -62,7 +62,9 @@ def _recorder(context):
     command += ['--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     command += ['--wait', str(START_S if value(context, 'device') else RUNNING_S)]
-    writer = ExecuteProcess(cmd=command, output='screen', sigterm_timeout=str(STOP_GRACE_S))
+    writer = ExecuteProcess(
+        cmd=command, output='screen', prefix=quiet_imports(), sigterm_timeout=str(STOP_GRACE_S)
+    )
 
     def ended(event, context):
         if event.returncode and not context.is_shutdown:

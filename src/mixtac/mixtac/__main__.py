@@ -20,6 +20,8 @@ def main() -> int:
     handles = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handles:
         signal.signal(signal.SIGINT, _leave)
+    # Some starters block it until here, because Python itself would end with a traceback.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     from mixtac.main import main as run
 
     if handles:
