@@ -21,8 +21,8 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
-from mixtac_core.node.launch_actions import environment, shared_arguments, value
-from mixtac_core.node.process import GraphError
+from mixtac_core.node.launch_actions import environment, quiet_imports, shared_arguments, value
+from mixtac_core.node.process import STOP_GRACE_S, GraphError
 from mixtac_core.node.topics import REFERENCE
 
 FORWARDED = ('device', 'serial', 'namespace', 'params_file', 'reference_topic')
@@ -56,11 +56,15 @@ ARGUMENTS = [
 
 def _recorder(context):
     """Return the actions that record."""
-    command = [ExecutableInPackage('mixtac', 'mixtac'), 'record', value(context, 'output')]
+    # Found now: a launch that fails once nodes start leaves them running.
+    program = ExecutableInPackage('mixtac', 'mixtac').perform(context)
+    command = [program, 'record', value(context, 'output')]
     command += ['--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
     command += ['--wait', str(START_S if value(context, 'device') else RUNNING_S)]
-    writer = ExecuteProcess(cmd=command, output='screen')
+    writer = ExecuteProcess(
+        cmd=command, output='screen', prefix=quiet_imports(), sigterm_timeout=str(STOP_GRACE_S)
+    )
 
     def ended(event, context):
         if event.returncode and not context.is_shutdown:

@@ -31,8 +31,8 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'device',
         default_value='',
-        description='Device that a driver in the same process opens (davis346, virtual, '
-        'virtual:SOCKET), with the force estimator beside it; empty: sensor.launch.py runs',
+        description='Device of a sensor that is started as well, as by sensor.launch.py (davis346, '
+        'virtual, virtual:SOCKET); empty: the sensor runs already',
     ),
     DeclareLaunchArgument(
         'arm',

@@ -20,6 +20,7 @@ import os
 import platform
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -376,6 +377,8 @@ def main() -> int:
     # As in env.sh: the build starts Python many times.
     os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
     try:
+        # ./mixtac blocks Ctrl-C until here.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         with alone():
             set_up(robot=options.robot, extras=options.extras)
     except SetupError as error:

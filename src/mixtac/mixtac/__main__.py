@@ -17,18 +17,13 @@ def _leave(_number: int, _frame: object) -> None:
 def main() -> int:
     """Run the command line; return its exit status."""
     # Where it is ignored, as in a job in the background, it stays so.
-    handles = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if handles:
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
+    # Some starters block it until here, because Python itself would end with a traceback.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     from mixtac.main import main as run
 
-    if handles:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return run()
-    finally:
-        if handles:
-            signal.signal(signal.SIGINT, _leave)
+    return run()
 
 
 if __name__ == '__main__':

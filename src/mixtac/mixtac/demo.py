@@ -123,9 +123,6 @@ def _run_graph(
         **settings,
         'device_seed': DEVICE_SEED,
         'preset': PRESET,
-        'scenario': 'demo',
-        'play_on_start': False,
-        'loop': False,
         'lead_seconds': LEAD_S,
     }
     # An impact saturates the sensor for an instant, and its peak is to be seen.

@@ -239,7 +239,7 @@ def noting_interrupt(noted: list[int]) -> Iterator[None]:
         Timer(0.05, signal.pthread_kill, [get_ident(), number]).start()
 
     handled = signal.getsignal(signal.SIGINT)
-    if handled is signal.default_int_handler:
+    if callable(handled):
         signal.signal(signal.SIGINT, interrupt)
     try:
         yield

@@ -32,7 +32,7 @@ PATHS = ('nowhere', 'empty', 'junk', 'folder', 'deep.yaml', 'latin.yaml', 'list.
 PATHS += ('x.mcap', 'x.db3', 'x.aedat4', 'x.safetensors', 'short', 'wild', 'a' * 300, NOT_UTF8, '')
 OPTIONS = ('nowhere', 'empty', 'folder', 'deep.yaml', 'latin.yaml', 'typo.yaml', NOT_UTF8, '')
 OUTPUTS = ('empty/below', 'folder', 'a' * 300, '')
-COMPUTING = ('bench', 'experiments', 'train', 'evaluate', 'simulate', 'demo')
+COMPUTING = ('experiments', 'train', 'evaluate', 'simulate', 'demo')
 """Commands that work without a recording: values that they take would start the work."""
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import subprocess
 import sys
@@ -13,8 +14,14 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('launch_ros', reason='launch is not installed')
 
 from geometry_msgs.msg import WrenchStamped
+from launch import LaunchContext, LaunchDescription, LaunchService
+from launch.actions import ExecuteProcess, IncludeLaunchDescription, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions.substitution_failure import SubstitutionFailure
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.qos import qos_profile_system_default
@@ -28,11 +35,7 @@ LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
 
 def processes(name: str, **values: str):
     """Return the processes that a launch file starts, in order, and the launch context."""
-    launch = pytest.importorskip('launch', reason='launch is not installed')
-    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
-    from launch.actions import ExecuteProcess
-
-    context = launch.LaunchContext()
+    context = LaunchContext()
     context.launch_configurations.update({'frames': 'false', **values})
     description = runpy.run_path(str(LAUNCH / f'{name}.launch.py'))['generate_launch_description']()
     found, queue = [], list(description.entities)
@@ -124,6 +127,15 @@ def test_a_recording_brings_its_sensor(device):
     assert {'mixtac', 'record', '/some/new'} <= set(words(found[-1]))
 
 
+def test_without_the_recorder_nothing_starts(tmp_path, monkeypatch):
+    index = tmp_path / 'share/ament_index/resource_index/packages'
+    index.mkdir(parents=True)
+    (index / 'mixtac').touch()
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(SubstitutionFailure):
+        processes('record', output='/some/new', device='davis346')
+
+
 def test_numbers_may_have_an_exponent():
     found, _ = processes('slip_control', max_total='2e-4', controller='/arm')
     assert {'max_total:=0.0002', "controller:='/arm'"} <= set(words(found[0]))
@@ -135,20 +147,12 @@ def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
     Returns:
         Status of the launch, and those of its processes.
     """
-    launch = pytest.importorskip('launch', reason='launch is not installed')
-    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
-    from launch.actions import IncludeLaunchDescription, RegisterEventHandler
-    from launch.event_handlers import OnProcessExit
-    from launch.launch_description_sources import PythonLaunchDescriptionSource
-
     statuses: list[int] = []
     ended = OnProcessExit(on_exit=lambda event, _: statuses.append(event.returncode))
     source = PythonLaunchDescriptionSource(str(LAUNCH / f'{name}.launch.py'))
     include = IncludeLaunchDescription(source, launch_arguments=list(arguments.items()))
-    service = launch.LaunchService(argv=[])
-    service.include_launch_description(
-        launch.LaunchDescription([RegisterEventHandler(ended), include])
-    )
+    service = LaunchService(argv=[])
+    service.include_launch_description(LaunchDescription([RegisterEventHandler(ended), include]))
 
     def run() -> None:
         try:
@@ -204,8 +208,6 @@ sys.exit(service.run())
 
 def ended(name: str, env: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a launch file until it ends by itself; return its status and what it printed."""
-    pytest.importorskip('launch', reason='launch is not installed')
-    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
     # In a process of its own: what launch prints first decides where it always prints.
     command = [sys.executable, '-c', PROGRAM, str(LAUNCH / f'{name}.launch.py'), *arguments]
     return subprocess.run(

@@ -25,6 +25,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
@@ -97,6 +98,7 @@ def estimator(node_under_test, tmp_path, model, monkeypatch) -> Estimator:
         invalid_force='publish',
         assume_free=True,
         displacement='frames',
+        use_sim_time='true',
     )
 
 
@@ -123,7 +125,8 @@ def image(trial, index: int) -> Image:
 def play(graph, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
     """Publish the trial and return the forces that came back, and their quality.
 
-    The trial waits for a slow node: its length in time does not matter to the camera clock.
+    The trial waits for a slow node: its length in time does not matter to the camera clock. Nor
+    does `/clock`, which begins in 1970 here and runs ten times as fast as the camera clock.
     """
     events = graph.node.create_publisher(EventPacket, '/mixtac/events', QOS)
     images = graph.node.create_publisher(Image, '/mixtac/image_raw', QOS)
@@ -131,6 +134,7 @@ def play(graph, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
     received = graph.listen(WrenchStamped, '/mixtac/force', QOS)
     graph.spin_until(events.get_subscription_count)
     graph.spin_until(images.get_subscription_count)
+    clock = graph.node.create_publisher(Clock, '/clock', 10)
     frame = 0
 
     def behind_us(until: int) -> int:
@@ -141,6 +145,7 @@ def play(graph, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
             images.publish(image(trial, frame))
             frame += 1
         events.publish(message)
+        clock.publish(Clock(clock=us_to_stamp(10 * until)))
         graph.executor.spin_once(timeout_sec=0)
         # Without a force so far, the node is still reading the first frames.
         time.sleep(PACKET_US * (1e-6 if received else 5e-6))
