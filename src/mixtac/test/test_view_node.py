@@ -44,7 +44,6 @@ from mixtac_core.node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 from mixtac_core.node.graph import node
 from mixtac_core.node.images import fill
 from mixtac_core.node.process import GraphError
-from mixtac_msgs.msg import SlipState
 
 NAME = 'mixtac/view'
 needs_rerun = pytest.mark.skipif(
@@ -166,7 +165,6 @@ class Feeder:
         self.events = create(EventPacket, '/mixtac/events', QOS_EVENTS)
         self.image = create(Image, '/mixtac/image_raw', QOS_SENSOR)
         self.force = create(WrenchStamped, '/mixtac/force', QOS_FORCE)
-        self.slip = create(SlipState, '/mixtac/slip', QOS_FORCE)
         self.frame = Image()
         fill(self.frame, np.full((260, 346), 30_000, np.uint16), 'mono16')
         self.sequence = self.seen = 0
@@ -178,7 +176,6 @@ class Feeder:
         wrench = WrenchStamped()
         wrench.wrench.force.z = 1.5
         self.force.publish(wrench)
-        self.slip.publish(SlipState(count=3, threshold=5.0))
         self.seen += self.force.get_subscription_count() > 0
 
 
