@@ -9,6 +9,7 @@ import importlib.util
 import os
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -21,7 +22,6 @@ from rich.console import Console
 from mixtac.figures import EVENTS, FORCE, REFERENCE, make_table, new_axes, save_figure
 from mixtac.options import OptionalPath
 from mixtac.up import record_command, sensor_values, show, show_without_ros, start_nodes
-from mixtac_core.events.codec import decode_message
 from mixtac_core.node import topics
 from mixtac_core.node.files import write_json
 from mixtac_core.node.graph import sensor_graph
@@ -31,12 +31,11 @@ from mixtac_core.recordings.bag import BagFile
 from mixtac_fger.alignment.align import align
 from mixtac_fger.alignment.bags import read_recording
 from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit
+from mixtac_fger.alignment.histories import EventCounts, Recording
 from mixtac_sim.world.profiles import make_profile
 
-PRESET: Final = 'paper_like'
-"""Difficulty for which the shipped model was trained."""
-DEVICE_SEED: Final = 1001
-"""Seed of the virtual sensor, which no shipped model was trained on."""
+SEED: Final = 1001
+"""Seed of the scenario unless another is named."""
 LEAD_S: Final = 8.0
 """Delay of the scenario after time goes on again [s]."""
 TAIL_S: Final = 1.0
@@ -46,8 +45,6 @@ WINDOW_NS: Final = 2_000_000
 """Time between two forces [ns]."""
 RATE_WINDOW_US: Final = 10_000
 """Window in which the events of the figure are counted [us]."""
-MAX_FORCE_GAP_S: Final = 2.0
-"""A busy host may lose reference samples [s]; here their clock is known to be a single one."""
 EDGE_US: Final = 50_000
 """Half a synchronising impulse [us]: the comparison starts and ends with whole impulses."""
 NEAR_US: Final = 100_000
@@ -56,7 +53,6 @@ FAR_US: Final = 500_000
 """It ends this long after the first impulse [us]; the other rest lies as far before the last."""
 HELD_PART: Final = 0.8
 """Part of the largest force of the press above which it is held; this calibrates."""
-I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 
 
@@ -66,7 +62,7 @@ def demo(
     ] = 30,
     seed: Annotated[
         int, typer.Option(min=0, help='Random seed for forces, contact point, noise and clocks.')
-    ] = 1001,
+    ] = SEED,
     model: Annotated[
         OptionalPath, typer.Option(help='Weight file to use instead of the shipped one.')
     ] = None,
@@ -77,10 +73,9 @@ def demo(
     """Run the graph on the virtual sensor, show it live, then measure and draw the run."""
     console = Console(markup=False)
     if importlib.util.find_spec('rclpy') is None:
-        if out:
-            raise GraphError('without ROS 2 the demo writes nothing', remedy='give no --out')
-        show_without_ros('virtual:demo', str(model or ''), seconds)
-        console.print('./mixtac demo of a checkout brings ROS 2, records, compares and draws')
+        if out or seed != SEED:
+            raise GraphError('--out and --seed need ROS 2', remedy='give neither of them')
+        compare_without_ros(console, str(model or ''), seconds)
         return
     folder = out or Path('demo_out') / f'{dt.datetime.now().astimezone():%Y%m%d-%H%M%S}'
     # Apart from other ROS graphs on this machine.
@@ -98,6 +93,26 @@ def demo(
     print_summary(console, report, folder)
     if failed := {name: code for name, code in codes.items() if code}:
         raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')
+
+
+def compare_without_ros(console: Console, model: str, seconds: float) -> None:
+    """Show the force beside the simulated force, and print the mean absolute error.
+
+    Args:
+        console: Where to print.
+        model: Weight file or name of a model; empty for the default.
+        seconds: Duration from the first force on [s].
+    """
+    forces = np.array(show_without_ros('virtual:demo', model, seconds))
+    estimate, true = forces[np.isfinite(forces).all(axis=1)].T
+    gain = float(estimate @ true / (estimate @ estimate))
+    calibrated_n, error_n = (np.abs(each * estimate - true).mean() for each in (gain, 1.0))
+    console.print(
+        f'mean absolute error against the simulated force: {error_n:.3f} N;'
+        f' {calibrated_n:.3f} N after the gain that fits best, {gain:.2f}\n'
+        './mixtac demo of a checkout brings ROS 2, records, calibrates, aligns and draws',
+        soft_wrap=True,
+    )
 
 
 def _run_graph(
@@ -121,8 +136,8 @@ def _run_graph(
 
     virtual_sensor = {
         **settings,
-        'device_seed': DEVICE_SEED,
-        'preset': PRESET,
+        'device_seed': 1001,  # no shipped model was trained on this sensor
+        'preset': 'paper_like',  # the shipped model was trained for it
         'lead_seconds': LEAD_S,
     }
     # An impact saturates the sensor for an instant, and its peak is to be seen.
@@ -150,9 +165,7 @@ def _run_graph(
         # The process began as the script that sets everything up.
         first_s = time.time() - psutil.Process().create_time()
         console.print(f'first force after {first_s:.0f} s')
-
-        def sensor() -> dict[str, str]:
-            return monitor.values('virtual_sensor')
+        sensor = partial(monitor.values, 'virtual_sensor')
 
         def doing() -> str:
             processes.check()
@@ -167,26 +180,6 @@ def _run_graph(
         time.sleep(TAIL_S)
         waited_us = float(sensor()['lost_us']) - lost_us
         return {'first_force_s': first_s, 'waited_s': waited_us / 1e6}
-
-
-class Run(NamedTuple):
-    """The streams of a recorded run.
-
-    Attributes:
-        packets: Of each event packet: time up to which it is complete [us, camera clock], and
-            number of events; int64 [N, 2].
-        forces_ns: Of each force: end of its window [ns, camera clock], and arrival at the recorder
-            [ns]; int64 [M, 2].
-        force_n: Estimated normal force [N].
-        reference_ns: Stamps of the reference, reference clock [ns], int64.
-        reference_n: Reference normal force [N].
-    """
-
-    packets: I64
-    forces_ns: I64
-    force_n: F64
-    reference_ns: I64
-    reference_n: F64
 
 
 class Comparison(NamedTuple):
@@ -207,10 +200,6 @@ class Comparison(NamedTuple):
     figures: dict[str, float]
 
 
-ALIGNED: Final = ('gain', 'mae_n', 'mae_uncalibrated_n', 'constant_mae_n', 'clock_drift_ppm')
-"""Figures that are None where the alignment was refused."""
-
-
 def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
     """Compare the recorded force with the aligned reference, and draw the run.
 
@@ -223,60 +212,47 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         `mae_n`: Mean absolute error of the calibrated force against the reference, aligned as by
             `mixtac align` and less its zero, without the press that calibrates.
         `mae_uncalibrated_n`: Mean absolute error of the same samples without the calibration.
-        `constant_mae_n`: Error of the best constant guess on the same samples.
         `clock_drift_ppm`: Drift of the reference clock found by the alignment.
-        `refused`: Why the alignment was refused, or empty.
+        `refused`: Why the alignment was refused, or empty; then gain, errors and drift are
+            None.
     """
-    run = read_run(out / BAG, DEFAULT_NAMESPACE)
-    played = run.forces_ns[:, 0] > run.forces_ns[-1, 0] - round(1e9 * (seconds + TAIL_S))
-    ends_ns, arrivals_ns = run.forces_ns[played].T
+    stamps_ns, force_n = [], []
+    with BagFile(out / BAG) as bag:
+        for _, received_ns, message in bag.messages(topics.FORCE.resolved(DEFAULT_NAMESPACE)):
+            stamps_ns.append((stamp_to_ns(message.header.stamp), received_ns))
+            force_n.append(topics.normal_force(message))
+    ends_ns, arrivals_ns = np.array(stamps_ns, np.int64).reshape(-1, 2).T
+    played = ends_ns > ends_ns[-1] - round(1e9 * (seconds + TAIL_S))
     report: dict[str, Any] = {
-        'force_hz': float((len(ends_ns) - 1) * 1e9 / np.ptp(arrivals_ns)),
-        'lost': int(np.ptp(ends_ns) // WINDOW_NS) + 1 - len(ends_ns),
-        **dict.fromkeys(ALIGNED),
+        'force_hz': float((played.sum() - 1) * 1e9 / np.ptp(arrivals_ns[played])),
+        'lost': int(np.ptp(ends_ns[played]) // WINDOW_NS) + 1 - int(played.sum()),
+        **dict.fromkeys(('gain', 'mae_n', 'mae_uncalibrated_n', 'clock_drift_ppm')),
         'refused': '',
     }
+    recording = read_recording(out / BAG)
     try:
-        fit = align(read_recording(out / BAG), max_gap_s=MAX_FORCE_GAP_S)
+        # A busy host may lose reference samples; here their clock is known to be a single one.
+        fit = align(recording, max_gap_s=2.0)
     except AlignmentError as error:
         return report | {'refused': str(error)}
-    comparison = compare(run, fit, press_s(seconds, seed))
+    forces = ends_ns // 1000, np.array(force_n)
+    comparison = compare(recording, *forces, fit, press_s(seconds, seed))
     report |= comparison.figures | {'clock_drift_ppm': fit.drift_ppm}
     title = (
         f'Virtual sensor (simulated), seed {seed}: MAE {report["mae_n"]:.3f} N against the '
         f'aligned reference, {report["force_hz"]:.1f} Hz, {report["lost"]} lost'
     )
-    draw_run(out / 'demo.png', comparison, run.packets, title)
+    draw_run(out / 'demo.png', comparison, recording.counts, title)
     return report
 
 
-def read_run(path: Path, namespace: str) -> Run:
-    """Read the streams of a virtual sensor from a bag.
-
-    Raises:
-        RecordingError: A topic is missing or the bag is damaged.
-    """
-    events, force = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE))
-    packets, forces_ns, force_n = [], [], []
-    with BagFile(path) as bag:
-        for topic, received_ns, message in bag.messages(events, force):
-            if topic == force:
-                forces_ns.append((stamp_to_ns(message.header.stamp), received_ns))
-                force_n.append(topics.normal_force(message))
-            else:
-                packet = decode_message(message)
-                packets.append((packet.complete_until, len(packet.events)))
-        reference_ns, reference = bag.wrenches(topics.REFERENCE)
-    return Run(
-        np.array(packets, np.int64).reshape(-1, 2),
-        np.array(forces_ns, np.int64).reshape(-1, 2),
-        np.array(force_n),
-        reference_ns,
-        reference[:, 2],
-    )
-
-
-def compare(run: Run, fit: ClockFit, pressed_s: tuple[float, float]) -> Comparison:
+def compare(
+    recording: Recording,
+    force_us: NDArray[np.int64],
+    force_n: F64,
+    fit: ClockFit,
+    pressed_s: tuple[float, float],
+) -> Comparison:
     """Bring the reference to the camera clock, calibrate by the press, and compare.
 
     Samples from the first to the last impulse of the fit count, the impulses included. The zero of
@@ -284,38 +260,34 @@ def compare(run: Run, fit: ClockFit, pressed_s: tuple[float, float]) -> Comparis
     between the two it follows a straight line.
 
     Args:
-        run: The streams of the run.
+        recording: Holds the reference.
+        force_us: Ends of the windows of the estimated forces, camera clock [us], [N].
+        force_n: Estimated normal forces [N], [N].
         fit: Clock fit of the reference.
         pressed_s: Start and end of the press [s], as from `press_s`.
     """
-    reference_us = fit.to_camera(run.reference_ns / 1e9)
-    force_us = run.forces_ns[:, 0] // 1000
+    reference_us = fit.to_camera(recording.force_t_s)
     first_us, last_us = fit.anchors[0].camera_us, fit.anchors[-1].camera_us
     rests = (first_us + NEAR_US, first_us + FAR_US), (last_us - FAR_US, last_us - NEAR_US)
     zeros = [
-        run.reference_n[(reference_us >= start) & (reference_us <= end)].mean()
+        recording.force[(reference_us >= start) & (reference_us <= end)].mean()
         for start, end in rests
     ]
     zero = np.interp(reference_us, np.mean(rests, axis=1), zeros)
     start_us = first_us - EDGE_US
     inside = (force_us >= start_us) & (force_us <= last_us + EDGE_US)
-    reference = np.interp(force_us[inside], reference_us, run.reference_n - zero)
-    time_s, estimate = (force_us[inside] - start_us) / 1e6, run.force_n[inside]
+    reference = np.interp(force_us[inside], reference_us, recording.force - zero)
+    time_s, estimate = (force_us[inside] - start_us) / 1e6, force_n[inside]
     pressed = (time_s >= pressed_s[0]) & (time_s <= pressed_s[1])
     held = pressed & (reference > HELD_PART * reference[pressed].max(initial=0.0))
     # Medians: frames that a busy host drops make the estimate wrong for a part of the press.
     felt = float(np.median(estimate[held])) if held.any() else 0.0
     gain = float(np.median(reference[held])) / felt if felt > 0.0 else 1.0
     rest = reference[~pressed]
-
-    def mae(guess: F64 | float) -> float:
-        return float(np.abs(guess - rest).mean())
-
     figures = {
         'gain': gain,
-        'mae_n': mae(gain * estimate[~pressed]),
-        'mae_uncalibrated_n': mae(estimate[~pressed]),
-        'constant_mae_n': mae(float(np.median(rest))),
+        'mae_n': float(np.abs(gain * estimate[~pressed] - rest).mean()),
+        'mae_uncalibrated_n': float(np.abs(estimate[~pressed] - rest).mean()),
     }
     return Comparison(start_us, time_s, gain * estimate, reference, figures)
 
@@ -334,13 +306,13 @@ def press_s(seconds: float, seed: int) -> tuple[float, float]:
     return press.start_s - start_s, release.end_s - start_s
 
 
-def draw_run(path: Path, comparison: Comparison, packets: I64, title: str) -> None:
+def draw_run(path: Path, comparison: Comparison, counts: EventCounts, title: str) -> None:
     """Save a figure of a run: both forces above the event rate.
 
     Args:
         path: File to write; its suffix gives the format.
         comparison: Estimate and aligned reference.
-        packets: As in `Run`.
+        counts: Numbers of events.
         title: Title; says that the data are simulated if they are.
 
     Raises:
@@ -355,10 +327,11 @@ def draw_run(path: Path, comparison: Comparison, packets: I64, title: str) -> No
     force.set(ylabel='normal force [N]', ylim=(-0.15, top_n))
     force.legend(loc='upper right', ncols=2, frameon=False)
     edges_s = np.arange(0.0, time_s[-1], RATE_WINDOW_US / 1e6)
-    at_s = (packets[:, 0] - comparison.start_us) / 1e6
-    counts, _ = np.histogram(at_s, edges_s, weights=packets[:, 1])
+    ends_us = counts.start_us + counts.width_us * (1 + np.arange(len(counts.counts)))
+    at_s = (ends_us - comparison.start_us) / 1e6
+    found, _ = np.histogram(at_s, edges_s, weights=counts.counts)
     events.semilogy(
-        edges_s[1:], np.maximum(counts * 1e6 / RATE_WINDOW_US, 1.0), color=EVENTS, lw=0.8
+        edges_s[1:], np.maximum(found * 1e6 / RATE_WINDOW_US, 1.0), color=EVENTS, lw=0.8
     )
     events.set(ylabel='events [1/s]', xlabel='camera time [s]')
     for axes in (force, events):
@@ -377,7 +350,6 @@ def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> 
         ('gain, calibrated by the press', n('gain')),
         ('mean absolute error against the reference', f'{n("mae_n")} N'),
         ('  before the calibration', f'{n("mae_uncalibrated_n")} N'),
-        ('  of the best constant guess', f'{n("constant_mae_n")} N'),
         ('drift of the reference clock', f'{n("clock_drift_ppm")} ppm'),
         ('lost force samples', str(report['lost'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),

@@ -18,37 +18,24 @@ JsonFile = Annotated[
     typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
 ]
 # At most 200 characters.
-_NAMESPACE = re.compile(r'(?!.{201})/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
+_NAME = re.compile(r'(?!.{201})/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
 
 
-def check_namespace(value: str) -> str:
-    """Return a ROS namespace, checked.
-
-    Raises:
-        BadParameter: The namespace contains other characters, or is too long.
-    """
-    return _checked_name(value, 'namespace', _NAMESPACE.fullmatch(value) is not None)
-
-
-def check_topic(value: str) -> str:
-    """Return the name of a ROS topic, checked.
+def check_name(parameter: typer.CallbackParam, value: str) -> str:
+    """Return the name of a ROS topic or namespace, checked; only a namespace may be empty.
 
     Raises:
         BadParameter: The name is empty, too long, or contains other characters.
     """
-    named = _NAMESPACE.fullmatch(value) is not None and bool(value.strip('/'))
-    return _checked_name(value, 'topic', named)
-
-
-def _checked_name(value: str, kind: str, valid: bool) -> str:
-    if not valid:
-        raise typer.BadParameter(f'{value[:200]!r}: a ROS {kind} has <= 200 letters, digits, _, /')
+    empty = parameter.name != 'namespace' and not value.strip('/')
+    if empty or _NAME.fullmatch(value) is None:
+        raise typer.BadParameter(f'{value[:200]!r}: a ROS name has <= 200 letters, digits, _, /')
     return value
 
 
 Namespace = Annotated[
     str,
-    typer.Option('--namespace', help='ROS namespace of the sensor.', callback=check_namespace),
+    typer.Option('--namespace', help='ROS namespace of the sensor.', callback=check_name),
 ]
 ParamsFile = Annotated[
     OptionalPath,
@@ -65,5 +52,5 @@ Preset = Annotated[
 ]
 _REFERENCE = 'Topic of the reference force (WrenchStamped).'
 ReferenceTopic = Annotated[
-    str, typer.Option('--reference-topic', help=_REFERENCE, callback=check_topic)
+    str, typer.Option('--reference-topic', help=_REFERENCE, callback=check_name)
 ]

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac.latest import LONG_MS, Latest, NotOpenError, SensorError
+from mixtac.virtual import VirtualProcess
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import warm_up as warm_up_codec
 from mixtac_core.events.frames import PICTURE_KERNELS
@@ -115,6 +116,8 @@ class Sensor:
 
     Attributes:
         pictures: Frames that the estimator has used: `Latest[Picture]`.
+        virtual: Process of the virtual sensor that this object has started; None for other sources.
+            Its `true_force` returns the simulated force at the stamp of a reading.
 
     Raises:
         ParameterError: A value of `driver` or `fger` is not allowed.
@@ -138,6 +141,7 @@ class Sensor:
         # `tare` may be called from any thread, while the source's thread feeds the estimator.
         self._estimating = threading.Lock()
         self._supervisor: Supervisor | None = None
+        self.virtual: VirtualProcess | None = None
         self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
         self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
 
@@ -214,6 +218,11 @@ class Sensor:
     def _start(self, closing: ExitStack) -> Supervisor:
         path = find_model(self._fger.model)
         model = read_model(path)
+        device, _, scenario = self.source.partition(':')
+        if device == VIRTUAL and not scenario.startswith('/'):
+            # It compiles while this process does.
+            self.virtual = VirtualProcess(scenario)
+            closing.callback(self.virtual.close)
         for kernels, run_once in (
             ('the packet codec', warm_up_codec),
             (PICTURE_KERNELS, partial(warm_up, open_estimator(model))),
@@ -221,7 +230,7 @@ class Sensor:
         ):
             with compiling(kernels):
                 run_once()
-        parameters = self._driver_parameters(closing)
+        parameters = self._driver_parameters()
         kind = source_kind(parameters.device)
         settings = self._fger
         if kind is not SourceKind.CAMERA:
@@ -258,17 +267,12 @@ class Sensor:
         supervisor.start()
         return supervisor
 
-    def _driver_parameters(self, closing: ExitStack) -> DriverParameters:
-        device, _, rest = self.source.partition(':')
+    def _driver_parameters(self) -> DriverParameters:
+        device, _, serial = self.source.partition(':')
         if device == USB:
-            return replace(self._parameters, device=DriverParameters.device, serial=rest)
-        if device == VIRTUAL and not rest.startswith('/'):
-            from mixtac.virtual import VirtualProcess
-
-            process = VirtualProcess(rest)
-            closing.callback(process.close)
-            return replace(self._parameters, device=process.device)
-        return replace(self._parameters, device=self.source)
+            return replace(self._parameters, device=DriverParameters.device, serial=serial)
+        device = self.virtual.device if self.virtual else self.source
+        return replace(self._parameters, device=device)
 
     def _check(self) -> None:
         """Raise an error if no further reading can arrive."""

@@ -117,7 +117,8 @@ def up(
     if importlib.util.find_spec('rclpy') is None:
         if record or view or params_file:
             raise typer.BadParameter('--record, --view and --params-file need ROS 2: `make setup`')
-        show_without_ros(device, model, seconds)
+        source = {'davis346': 'usb', 'virtual': 'virtual:press'}.get(device, device)
+        show_without_ros(source, model, seconds)
         return
     from mixtac.monitor_node import Monitor
 
@@ -146,12 +147,11 @@ def up(
             )
             if is_virtual(device) or console.is_terminal:
 
-                def doing() -> str:
+                def values() -> dict[str, str]:
                     processes.check()
-                    return left()
+                    return sensor_values(monitor, is_virtual(device))
 
-                left = time_left(seconds)
-                show(console, doing, lambda: sensor_values(monitor, is_virtual(device)))
+                show(console, time_left(seconds), values)
                 return
         run_until(processes, seconds)
 
@@ -179,23 +179,35 @@ def check_choice(device: str, model: str, params_file: Path | None) -> dict[str,
     return {'model': str(path)}
 
 
-def show_without_ros(device: str, model: str, seconds: float) -> None:
+def show_without_ros(source: str, model: str, seconds: float) -> list[tuple[float, float]]:
     """Show the force of a sensor in the terminal: without ROS nothing is published.
 
     Args:
-        device: The same values as `--device` of `up`. The virtual sensor is pressed repeatedly.
+        source: As for `Sensor`.
         model: Weight file or name of a model; empty for the default.
         seconds: Duration from the first force on [s]; 0 runs until interrupted.
+
+    Returns:
+        Estimated and simulated force of a virtual sensor, several times a second [N].
     """
-    from mixtac.sensor import USB, VIRTUAL, Sensor
+    from mixtac.sensor import Sensor
 
-    console = Console(markup=False)
+    console, forces = Console(markup=False), []
     console.print('without ROS: forces are shown and not published; a first start compiles')
-    source = {'davis346': USB, VIRTUAL: f'{VIRTUAL}:press'}.get(device, device)
     with Sensor(source, model=model) as sensor:
-        sensor.read()
 
-        show(console, time_left(seconds), lambda: {'force': str(sensor.read())})
+        def values() -> dict[str, str]:
+            reading = sensor.read()
+            shown = {'force': str(reading)}
+            if sensor.virtual is not None:
+                true_n = sensor.virtual.true_force(reading.stamp_us)
+                forces.append((reading.force, true_n))
+                shown['simulated'] = f'{true_n:.3f} N'
+            return shown
+
+        values()
+        show(console, time_left(seconds), values)
+    return forces
 
 
 def time_left(seconds: float) -> Callable[[], str]:
@@ -222,19 +234,19 @@ def show(
 
     Args:
         console: Where to show them.
-        doing: Returns the present state of the sensor. Called several times a second; its errors
-            end the table.
+        doing: Returns the present state of the sensor. Called several times a second, as `values`.
         values: Returns what to show, by name.
     """
     terminal, due_s = console.is_terminal, time.monotonic()
     table = Live(console=console)
     with table if terminal else nullcontext():
         while text := doing():
+            shown = values().items()
             if terminal:
-                table.update(make_table(f'Mixtac: {text}', ('', ''), values().items(), words=2))
+                table.update(make_table(f'Mixtac: {text}', ('', ''), shown, words=2))
             elif time.monotonic() >= due_s:
                 due_s += LINE_PERIOD_S
-                line = '  '.join(f'{name} {value}' for name, value in values().items())
+                line = '  '.join(f'{name} {value}' for name, value in shown)
                 console.print(f'{text}: {line}', soft_wrap=True)
             time.sleep(POLL_S)
 

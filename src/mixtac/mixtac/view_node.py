@@ -208,6 +208,11 @@ def contact_outline(message: Any) -> NDArray[np.float64]:  # noqa: ANN401
     return np.stack([message.column + message.scale * x, message.row - message.scale * y], axis=1)
 
 
+def newton(force_n: float) -> str:
+    """Return a force as text; one that rounds to zero has no sign."""
+    return 'no force' if np.isnan(force_n) else f'{round(force_n, 2) + 0.0:.2f} N'
+
+
 class ViewNode(BaseNode, Node):  # type: ignore[misc]
     """Only subscribes, best effort: no publisher waits for it, and packets that it misses count."""
 
@@ -222,7 +227,6 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self._latest_n = dict.fromkeys(LINES, float('nan'))
         self._frame: Any = None
         self._contact: Any = None
-        self._slip: Any = None
         self._nodes: dict[str, str] = {}
         self._text_s = 0.0
         self._open_page()
@@ -232,7 +236,6 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_frame)
         self.subscribe_topic(topics.CONTACT, partial(setattr, self, '_contact'))
-        self.subscribe_topic(topics.SLIP, partial(setattr, self, '_slip'))
         self.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
         self.subscribe_topic(topics.FORCE, partial(self._on_force, 'estimate'))
         measured = partial(self._on_force, 'reference')
@@ -278,7 +281,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         for name, colour in LINES.items():
             line = rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])
             self._stream.log(f'force/{name}', line, static=True)
-        floor = rr.SeriesLines(colors=[COLOURS[STILL]] * 2, names=['', ''], widths=[0.5, 0.5])
+        # Invisible, on a light page too.
+        floor = rr.SeriesLines(colors=[(0, 0, 0, 0)] * 2, names=['', ''], widths=[0.5, 0.5])
         self._stream.log('force/floor', floor, static=True)
 
     def _on_events(self, message: Any) -> None:  # noqa: ANN401
@@ -348,20 +352,14 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
 
     def _state(self, now_s: float) -> str:
         rates = {name: meter.read(now_s) for name, meter in self._meters.items()}
-        slip = 'not running'
-        if self._slip is not None:
-            slip = '**SLIP**' if self._slip.slipping else 'stable'
-            slip += f', {self._slip.count:g} events of {self._slip.threshold:g}'
         rows = {
-            **{n: f'{self._latest_n[n]:.2f} N at {rates[n]:.0f} Hz' for n in LINES},
-            'slip': slip,
+            **{n: f'{newton(self._latest_n[n])} at {rates[n]:.0f} Hz' for n in LINES},
             'events': f'{rates["events"] / 1000:.1f} k/s, {self._counter.lost} packets lost',
             'frames': f'{rates["frames"]:.1f} /s',
             **dict(sorted(self._nodes.items())),
         }
         table = '\n'.join(f'| {name} | {text} |' for name, text in rows.items())
-        # A force that rounds to zero has no sign.
-        return f'# {round(self._latest_n["estimate"], 2) + 0.0:.2f} N\n\n| | |\n|---|---|\n{table}'
+        return f'# {newton(self._latest_n["estimate"])}\n\n| | |\n|---|---|\n{table}'
 
     def _status(self) -> Status:
         bad = self._undecodable

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A virtual sensor in a process of its own, which `Sensor('virtual')` starts and ends.
 
-`python -m mixtac.virtual [SCENARIO]` prints one line of JSON with the socket of its camera, and
-runs until its standard input ends. If the host is too slow, simulated time pauses and no data are
+`python -m mixtac.virtual SCENARIO` prints one line of JSON with the socket of its camera, and runs
+until its standard input ends. A line of input is the stamp of a force; the answer is a line with
+the simulated force at that time. If the host is too slow, simulated time pauses and no data are
 lost.
 """
 
@@ -15,8 +16,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-from functools import partial
-from typing import Final
+from contextlib import suppress
+from functools import cached_property, partial
+from typing import Any, Final
 
 from mixtac.latest import SensorError
 from mixtac_core.events.errors import MixtacError
@@ -34,29 +36,41 @@ class VirtualProcess:
     Args:
         scenario: Force profile that is played again and again, one of
             `mixtac_sim.world.profiles.PROFILES`; empty for no contact.
-
-    Attributes:
-        device: Device string of its camera.
-
-    Raises:
-        SensorError: It does not start.
     """
 
     def __init__(self, scenario: str) -> None:
         command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
-        self._process = subprocess.Popen(
+        self._process: Any = subprocess.Popen(
             ending_with_parent(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
         print('starting a virtual sensor; a first start compiles for a minute', file=sys.stderr)
-        assert self._process.stdout is not None  # noqa: S101  (always piped)
+
+    @cached_property
+    def device(self) -> str:
+        """Device string of its camera; waits until the process is ready.
+
+        Raises:
+            SensorError: It does not start.
+        """
         # Libraries may print lines before the answer.
-        answer = next((line for line in self._process.stdout if line.startswith(b'{')), b'{}')
+        lines = self._process.stdout
+        answer = next((line for line in lines if line.startswith(b'{')), b'{}')
         found = json.loads(answer)
         if not found.get('device'):
             self.close()
             why = found.get('error') or 'the virtual sensor ended before it was ready'
             raise SensorError(str(why), remedy='see what it printed')
-        self.device = str(found['device'])
+        return str(found['device'])
+
+    def true_force(self, stamp_us: int) -> float:
+        """Return the simulated normal force [N], NaN if the process has ended.
+
+        Args:
+            stamp_us: Stamp of a reading of the last seconds [us].
+        """
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(b'%d\n' % stamp_us)
+        return float(self._process.stdout.readline() or 'nan')
 
     def close(self) -> None:
         """End the process."""
@@ -95,7 +109,11 @@ def serve(scenario: str) -> None:
             sensor.start()
             print(json.dumps({'device': f'virtual:{server.path}'}), flush=True)
             plays = 0
-            while not select.select([sys.stdin], [], [], 0.05)[0]:
+            while True:
+                if select.select([sys.stdin], [], [], 0.05)[0]:
+                    if not (line := sys.stdin.readline()):
+                        break
+                    print(sensor.true_force(int(line)), flush=True)
                 state = sensor.state()
                 if state.streaming and not state.playing and scenario != NO_CONTACT:
                     sensor.play(profile(plays), lead_us=LEAD_US)
@@ -117,7 +135,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, leave)
     try:
-        serve(sys.argv[1] if len(sys.argv) > 1 else NO_CONTACT)
+        serve(sys.argv[1])
     except (MixtacError, ImportError) as error:
         # The other process sends one as soon as it has read this.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -134,7 +134,7 @@ def test_what_cannot_be_opened_says_why(source, model, error):
 
 def test_a_line_says_that_a_virtual_sensor_starts(capsys):
     with pytest.raises(SensorError) as caught:
-        virtual.VirtualProcess('no_such_scenario')
+        _ = virtual.VirtualProcess('no_such_scenario').device
     assert 'no_such_scenario' in str(caught.value)
     assert 'virtual sensor' in capsys.readouterr().err
 
@@ -178,4 +178,5 @@ def without_ros(words: list[str]) -> subprocess.CompletedProcess[str]:
 def test_up_shows_forces_without_ros():
     shown = without_ros(['up', '--device', 'virtual', '--seconds', '1'])
     assert shown.returncode == 0
-    assert [line for line in shown.stdout.splitlines() if ' N +- ' in line]
+    (line,) = [line for line in shown.stdout.splitlines() if ' N +- ' in line]
+    assert 'simulated' in line

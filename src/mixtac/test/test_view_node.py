@@ -45,7 +45,6 @@ from mixtac_core.node.graph import node
 from mixtac_core.node.images import fill
 from mixtac_core.node.process import GraphError
 from mixtac_core.node.topics import EVENTS
-from mixtac_msgs.msg import SlipState
 
 NAME = 'mixtac/view'
 needs_rerun = pytest.mark.skipif(
@@ -167,7 +166,6 @@ class Feeder:
         self.events = create(EventPacket, '/mixtac/events', qos(EVENTS))
         self.image = create(Image, '/mixtac/image_raw', QOS_SENSOR)
         self.force = create(WrenchStamped, '/mixtac/force', QOS_FORCE)
-        self.slip = create(SlipState, '/mixtac/slip', QOS_FORCE)
         self.frame = Image()
         fill(self.frame, np.full((260, 346), 30_000, np.uint16), 'mono16')
         self.sequence = self.seen = 0
@@ -179,7 +177,6 @@ class Feeder:
         wrench = WrenchStamped()
         wrench.wrench.force.z = 1.5
         self.force.publish(wrench)
-        self.slip.publish(SlipState(count=3, threshold=5.0))
         self.seen += self.force.get_subscription_count() > 0
 
 

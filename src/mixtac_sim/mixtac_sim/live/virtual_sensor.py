@@ -185,6 +185,7 @@ class VirtualSensor:
         self._simulating = Lock()
         self._truth: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
         self._references: deque[WrenchSamples] = deque(maxlen=MOST_BATCHES)
+        self._forces: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=MOST_BATCHES)
         self._stop = Event()
         self._threads: list[Thread] = []
 
@@ -248,6 +249,10 @@ class VirtualSensor:
         """Return the samples of the reference sensor since the last call, on its own clock."""
         return [self._references.popleft() for _ in range(len(self._references))]
 
+    def true_force(self, stamp_us: int) -> float:
+        """Return the true normal force [N] at a stamp of the last seconds [us, camera clock]."""
+        return float(np.interp(stamp_us, *np.transpose(self._forces.copy())))
+
     def state(self) -> SensorState:
         """Return figures for diagnostics."""
         end_us = self._profile.end_us()
@@ -270,7 +275,7 @@ class VirtualSensor:
             known_us = self._known_us()
             self._due_us = max(self._due_us, min(now_us, known_us))
             self.device.advance(self._due_us)
-            self._release(self._due_us)
+            self._release()
             if known_us >= now_us:
                 return
             with self._simulating:
@@ -340,10 +345,12 @@ class VirtualSensor:
         samples = self._reference.process(out.wrench_us, out.wrench)
         self._pending.append((self._simulated_us, out.truth, samples))
 
-    def _release(self, until_us: int) -> None:
-        """Hand over the truth and the samples of the reference, chunk by chunk."""
-        while self._pending and self._pending[0][0] <= until_us:
+    def _release(self) -> None:
+        """Output the truth and the samples of the reference that are due, chunk by chunk."""
+        while self._pending and self._pending[0][0] <= self._due_us:
             _, truth, samples = self._pending.popleft()
+            for row in truth[-1:]:
+                self._forces.append((self.device.stamp_us(int(row['t_us'])), row['fz']))
             stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
             self._truth.append(WrenchSamples(stamp_ns, truth_wrench(truth)))
             stamp_ns = samples.t_ns + self._clock.start_epoch_ns

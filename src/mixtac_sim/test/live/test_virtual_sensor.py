@@ -134,6 +134,7 @@ def test_everything_goes_out_when_its_time_has_come(sensor, simulation, host):
     np.testing.assert_array_equal(stamps, EPOCH_NS + np.arange(500) * 1_000_000)
     force = np.concatenate([batch.wrench for batch in truth])
     np.testing.assert_allclose(force[:, 2], np.arange(500) * 1e-3)
+    assert sensor.true_force(sensor.device.stamp_us(300_000)) == pytest.approx(0.3)
     reference = np.concatenate([batch.t_ns for batch in sensor.take_reference()])
     np.testing.assert_array_equal(reference, stamps + 86_400_000_000_000)
     assert sensor.take_truth() == []
