@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 OBJECTS = ('box', 'cup', 'ball')
 WAYS: dict[str, dict[str, Any]] = {
-    'margin': {'slip_force': 0.01},
+    'margin': {'min_flow': 100.0},
     'answer': {'grip_margin': 1.0},
     'both': {},
     'paper': {'law': 'paper'},

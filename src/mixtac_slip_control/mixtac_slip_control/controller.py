@@ -366,7 +366,7 @@ class SlipController:
         self._calm_us = NEVER
 
     def _reason_not_to_enable(self, now_s: float) -> str | None:
-        if not self.detectors.learned:
+        if not self.detectors.count.learned:
             return (
                 'the background is not learned yet: keep the contact still for '
                 f'{LEARNING_WINDOWS} windows, with events and frames arriving'

@@ -175,9 +175,6 @@ LIGHT_EVENTS: Final = 400
 """Fewest events of a window that can show a change of light."""
 LIGHT_SHARE: Final = 0.8
 """Ratio of one sign to the other from which events are attributed to light; motion causes both."""
-COHERENCE: Final = 3.0
-"""Motion over that of as many events with signs at random, from which on it counts: random signs
-reach it in one window of 8000. Simulated lamps that were switched on came to 2.4, slips to 4.2."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from mixtac_slip_control.law import BAND, SLIP_RATIO, STIFFEST
+from mixtac_slip_control.law import BAND, STIFFEST
 from mixtac_slip_control.parameters import SlipControlParameters
 
 PERIOD_S: Final = 0.05
@@ -73,10 +73,9 @@ class GripperGoal:
             self._held_us = stamp_us
         if not self._grasp and stamp_us - self._held_us >= 1e6 * SETTLED_S:
             self._grasp = force_n
-        wanted = p.grip_margin * self._grasp
-        if slipped:
-            wanted = max(p.slip_force, SLIP_RATIO * self._grasp)
-        self._goal = min(max(self._goal, wanted, 0.0), p.usable_force)
+        answer = p.answer_force(self._grasp)
+        wanted = answer if slipped else min(p.grip_margin * self._grasp, answer)
+        self._goal = max(self._goal, wanted)
         if not by_speed:
             return self._goal or None
         missing = self._goal - force_n

@@ -10,7 +10,7 @@ the sensor cancel in this ratio. On the way it learns the stiffness of the conta
 At a slip it advances by one bounded step, holds, and returns slowly to the press.
 
 `AdvanceLaw.update` limits the advance of every law to `max_total`, and to the advance at which the
-force would reach `force_share` of `max_force` at the upper bound of the stiffness.
+usable force would be reached at the upper bound of the stiffness.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from enum import Enum, auto
 from typing import Final
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.parameters import PAPER, WINDOW_S, Current, SlipControlParameters
+from mixtac_slip_control.parameters import PAPER, WINDOW_S, Current
 
-STIFFEST: Final = 2e4
-"""Stiffest plausible contact of gel and object [N/m]: the bound before anything was measured."""
-PRIOR: Final = 1e4
+STIFFEST: Final = 1e4
+"""Stiffest plausible contact [N/m]: the bound before anything was measured. Gel and mesh alone,
+under a rigid flat face of 24 mm, came to 8.4e3 N/m in the stiffest of 40 simulated sensors."""
+PRIOR: Final = 5e3
 """Stiffness before anything was measured [N/m]."""
-PRIOR_SD: Final = 5e3
+PRIOR_SD: Final = 2.5e3
 """Its standard deviation [N/m]: two of them reach the stiffest."""
 FORCE_SD: Final = 0.03
 """Standard deviation of a force at rest [N]."""
@@ -142,16 +143,17 @@ class Phase(Enum):
     SLIP = auto()
     """Answers a slip."""
     HOLD = auto()
-    """Completes the response where the stiffness allows more, and holds it."""
+    """Completes the response as the stiffness becomes known, and holds it."""
     RETURN = auto()
     """Returns to the force of the press."""
 
 
-PRESS_RATE: Final = 3.0
-"""Rate of the force while pressing [N/s], by the stiffness as it is known."""
+PRESS_RATE: Final = 1.5
+"""Rate of the force while pressing [N/s], by the stiffness as it is known. The measured force lags
+behind that of a faster press, which then ends too late."""
 SLOWEST_PRESS: Final = 2e-4
 """Least speed of the press [m/s]."""
-FASTEST_PRESS: Final = 1.5e-3
+FASTEST_PRESS: Final = 1e-3
 """Largest speed of the press [m/s]."""
 LONGEST_PRESS_S: Final = 1.0
 """Time after which the press ends, whatever it has reached [s]."""
@@ -161,14 +163,6 @@ FASTEST_KEEP: Final = 5e-4
 """Largest speed of that advance [m/s]."""
 BAND: Final = 0.04
 """Share by which the force may fall below the goal before it is restored."""
-SLIP_RATIO: Final = 1.4
-"""Smallest ratio of the force after a slip response to the force at enabling."""
-PATIENCE_S: Final = 0.03
-"""Time of a slip after which its answer is raised, if the press has measured the stiffness [s]."""
-PRESSED: Final = 1.05
-"""Least ratio of the pressed force to that at enabling with which the stiffness is measured."""
-RAISE_RATE: Final = 5.0
-"""Rate of that raise [N/s], up to the usable force."""
 HOLD_S: Final = 0.3
 """Time without slip for which the response is held [s]."""
 RETURN_SPEED: Final = 2e-5
@@ -179,54 +173,47 @@ class StepLaw:
     """Presses in advance, responds to a slip with one bounded step, holds, and returns.
 
     Args:
-        start: Force at enabling [N].
+        goal: Force of the press [N].
 
     Attributes:
         phase: Present phase.
-        goal: Target force of the press or of the hold [N].
+        goal: Force of the press [N].
     """
 
-    def __init__(self, start: float) -> None:
-        self._start = self.goal = start
+    def __init__(self, goal: float) -> None:
+        self.goal = goal
         self._windows = 0
-        self._floor = self._answer = 0.0
-        self._raising = self._measured = False
+        self._floor = 0.0
+        self._raising = False
         self.phase = Phase.PRESS
 
-    def advance(
-        self, total: float, contact: Contact, p: SlipControlParameters, *, slipping: bool
-    ) -> float:
-        """Return the wanted advance since enabling [m].
+    def advance(self, total: float, contact: Contact, *, slipping: bool) -> float:
+        """Return the wanted advance since enabling [m]; infinite for as far as the bound allows.
 
         Args:
             total: Wanted advance so far [m].
             contact: Force and stiffness.
-            p: Ratios and forces.
             slipping: Whether the object slips.
         """
-        self.goal = min(p.grip_margin * self._start, p.usable_force)
-        self._enter(self._next(slipping, contact.present, total), total, contact)
+        phase = self._next(slipping, contact.present, total)
+        if phase is not self.phase:
+            if phase is Phase.SLIP and self.phase is Phase.RETURN:
+                self._floor = total  # a return that led to a slip is not repeated
+            self.phase, self._windows = phase, 0
         self._windows += 1
-        if self.phase in {Phase.SLIP, Phase.HOLD}:
-            # An object that slides over a stretched skin is no longer detected: the answer is
-            # completed as far as the measured stiffness allows.
-            if self.phase is Phase.SLIP:
-                late_s = max(self._windows * WINDOW_S - PATIENCE_S, 0.0)
-                rise = RAISE_RATE * late_s if self._measured else 0.0
-                self._answer = max(p.slip_force, SLIP_RATIO * self._start) + rise
-            return max(total, contact.reach(min(self._answer, p.usable_force)))
-        if self.phase is Phase.PRESS:
+        if phase in {Phase.SLIP, Phase.HOLD}:
+            # An object that slides over a stretched skin is no longer detected.
+            return math.inf
+        if phase is Phase.PRESS:
             speed = PRESS_RATE / contact.stiffness
             return total + WINDOW_S * min(max(speed, SLOWEST_PRESS), FASTEST_PRESS)
-        if self.phase is Phase.KEEP:
+        if phase is Phase.KEEP:
             # Once the force is raised, it comes up to the goal, not to the edge of the band.
             edge = self.goal if self._raising else (1.0 - BAND) * self.goal
             self._raising = contact.present < edge
             speed = min(KEEP_RATE / contact.stiffness, FASTEST_KEEP) if self._raising else 0.0
             return total + WINDOW_S * speed
-        if self.phase is Phase.RETURN:
-            return max(total - WINDOW_S * RETURN_SPEED, min(self._floor, total))
-        return total
+        return max(total - WINDOW_S * RETURN_SPEED, min(self._floor, total))
 
     def _next(self, slipping: bool, force: float, total: float) -> Phase:
         if slipping:
@@ -242,17 +229,6 @@ class StepLaw:
             return Phase.KEEP
         return self.phase
 
-    def _enter(self, phase: Phase, total: float, contact: Contact) -> None:
-        if phase is self.phase:
-            return
-        if phase is Phase.SLIP:
-            # The slow press alone measures the stiffness well enough for more than one step.
-            pressed = self.phase in {Phase.KEEP, Phase.RETURN} and self.goal > PRESSED * self._start
-            self._measured = pressed and contact.precise
-            if self.phase is Phase.RETURN:
-                self._floor = total  # a return that led to a slip is not repeated
-        self.phase, self._windows = phase, 0
-
 
 class AdvanceLaw:
     """Computes the wanted advance by the chosen law, and limits it by the force.
@@ -264,13 +240,14 @@ class AdvanceLaw:
         contact: Force and stiffness of the contact.
         total: Wanted advance since enabling [m].
         limit: Largest advance in the latest window [m].
+        usable: Force up to which the arm presses since enabling [N].
         step: The law `step`.
     """
 
     def __init__(self, parameters: Current) -> None:
         self._parameters = parameters
         self.contact = Contact()
-        self.total = self.limit = 0.0
+        self.total = self.limit = self.usable = 0.0
         self.step = StepLaw(0.0)
 
     def start(self, advance: float) -> None:
@@ -293,7 +270,8 @@ class AdvanceLaw:
                 remedy='grasp less firmly, or raise max_force or force_share',
             )
         self.total = self.limit = 0.0
-        self.step = StepLaw(force)
+        self.usable = p.usable_force if p.law == PAPER else p.answer_force(force)
+        self.step = StepLaw(min(p.grip_margin * force, self.usable))
 
     def on_force(
         self, force_n: float, advance: float, spread: float, *, calm: bool, enabled: bool
@@ -329,9 +307,9 @@ class AdvanceLaw:
         if p.law == PAPER:
             wanted = before + paper_advance(count, threshold, p.gain)
         else:
-            wanted = self.step.advance(before, self.contact, p, slipping=slipping)
+            wanted = self.step.advance(before, self.contact, slipping=slipping)
         # The bound makes the arm wait, not retreat: a noisy force must not move it.
-        reach = self.contact.reach(p.usable_force) if force < p.usable_force else advance
+        reach = self.contact.reach(self.usable) if force < self.usable else advance
         self.limit = max(min(reach, p.max_total), min(before, p.max_total), 0.0)
         self.total = min(max(wanted, 0.0), self.limit)
         return self.total - before

@@ -25,6 +25,9 @@ WINDOW_US: Final = 1000
 """Counting window of the events, as in the paper [us]."""
 WINDOW_S: Final = 1e-6 * WINDOW_US
 """Counting window of the events [s]."""
+SLIP_RATIO: Final = 1.2
+"""Least ratio of the force that answers a slip to the force of the grasp: the gain of the sensor
+cancels in it. A sensor that reads 25 % low then still keeps 1.5 N in a grasp of 1.25 N."""
 CONTROLLER_PERIOD_S: Final = 1e-3
 """Longest period of the arm's controller that is supported [s]."""
 
@@ -85,8 +88,8 @@ class SlipControlParameters:
         gain: k of the law `paper`: advance per event above the threshold.
         grip_margin: Ratio of the normal force to the force at enabling up to which the law `step`
             presses before any slip. 1 does not press.
-        slip_force: Normal force to which the law `step` presses at a slip, at least 1.4 times the
-            force at enabling.
+        slip_force: Normal force to which the law `step` presses at a slip, at least 1.2 times the
+            force at enabling. It never presses for more.
         max_force: Measured normal force above which slip control stops.
         force_share: Share of max_force up to which the arm presses. The rest is for the error of
             the sensor and of the stiffness.
@@ -154,8 +157,12 @@ class SlipControlParameters:
 
     @property
     def usable_force(self) -> float:
-        """Normal force up to which the arm presses [N]."""
+        """Normal force up to which the arm presses, whatever the grasp [N]."""
         return self.force_share * self.max_force
+
+    def answer_force(self, grasp_n: float) -> float:
+        """Return the force that answers a slip [N], for the force of the grasp [N]."""
+        return min(max(self.slip_force, SLIP_RATIO * grasp_n), self.usable_force)
 
 
 Current = Callable[[], SlipControlParameters]

@@ -391,7 +391,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             return ERROR, f'stopped: {controller.interlock.reason}'
         if not self._windows:
             return WARN, f'no events yet: {self._problem}'
-        if not controller.detectors.learned:
+        if not controller.detectors.count.learned:
             return WARN, 'learning the background: keep the contact still'
         if controller.enabled:
             return OK, 'enabled'

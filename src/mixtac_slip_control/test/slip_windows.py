@@ -20,7 +20,7 @@ def window(
     guided: bool = True,
     complete: bool = True,
     light: bool = False,
-    noise: float = 0.0,
+    noise: float = 1e-5,
 ) -> SlipWindow:
     return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete, light, noise)
 

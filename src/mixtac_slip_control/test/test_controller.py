@@ -232,7 +232,7 @@ def test_taring_needs_it_disabled_and_learns_anew() -> None:
         rig.controller.tare()
     rig.controller.disable()
     rig.controller.tare()
-    assert not rig.controller.detectors.learned
+    assert not rig.controller.detectors.count.learned
 
 
 def test_it_starts_from_commanded_positions_where_they_are_reported() -> None:

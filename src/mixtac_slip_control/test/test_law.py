@@ -77,7 +77,7 @@ def test_the_paper_neither_presses_nor_holds_nor_returns() -> None:
 
 
 @pytest.mark.parametrize('gain', [0.8, 1.0, 1.25])
-@pytest.mark.parametrize('stiffness', [1e3, 5e3, 2e4])
+@pytest.mark.parametrize('stiffness', [1e3, 5e3, 1e4])
 def test_the_press_reaches_the_margin_whatever_the_gain_of_the_sensor(
     stiffness: float, gain: float
 ) -> None:
@@ -114,11 +114,14 @@ def test_a_return_that_led_to_a_slip_is_not_repeated() -> None:
     assert grasp.rest(10_000).law.total >= floor - 1e-9
 
 
-def test_a_slip_that_goes_on_is_answered_up_to_the_usable_force() -> None:
-    grasp = Grasp(noise=0.0).rest(1000)
+@pytest.mark.parametrize(('start', 'answer'), [(0.5, 1.0), (0.9, 1.08), (1.2, 1.275)])
+def test_a_slip_that_goes_on_is_answered_up_to_a_force_that_suits_the_grasp(
+    start: float, answer: float
+) -> None:
+    grasp = Grasp(start=start, noise=0.0).rest(1000)
     for _ in range(400):
         grasp.step(slipping=True)
-    assert 0.95 < grasp.force <= grasp.parameters.usable_force
+    assert 0.8 * answer < grasp.force <= answer
 
 
 def test_the_press_of_a_heavy_object_uses_the_whole_usable_force() -> None:
@@ -132,7 +135,7 @@ def test_a_slip_before_anything_was_measured_does_not_drop_a_soft_object() -> No
     for _ in range(150):
         grasp.step(slipping=True)
     assert grasp.force > 0.8
-    stiff = Grasp(2e4)
+    stiff = Grasp(1e4)
     for _ in range(150):
         stiff.step(slipping=True)
     assert stiff.peak < stiff.parameters.max_force
@@ -152,10 +155,10 @@ def test_a_force_without_room_is_refused_and_both_forces_are_named(start: float)
         assert named in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     law=st.sampled_from(['step', 'paper']),
-    stiffness=st.floats(500.0, 2e4),
+    stiffness=st.floats(500.0, 1e4),
     start=st.floats(0.1, 1.15),
     gain=st.floats(0.92, 1.08),
     late=st.integers(2, 12),
