@@ -43,7 +43,7 @@ from mixtac_learning.paper.samples import (
     run_samples,
 )
 from mixtac_learning.train.config import check_settings
-from mixtac_learning.train.loop import Processes, Stage, TrainingLoop
+from mixtac_learning.train.loop import Stage, TrainingLoop, share
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +158,9 @@ class PaperStage(Stage):
         """Return the mean absolute error on the trials to validate on [N]."""
         if not self.checked:
             return None
-        total, count = 0.0, 0
-        runs = run_samples(self.network, self.checked)
-        for sample, force in zip(self.checked, runs, strict=True):
-            total, count = total + float(abs(force - sample.force).sum()), count + len(force)
-        return total / count
+        pairs = zip(self.checked, run_samples(self.network, self.checked), strict=True)
+        total = sum(float(abs(force - sample.force).sum()) for sample, force in pairs)
+        return total / sum(len(sample.force) for sample in self.checked)
 
     @contextmanager
     def plainly(self) -> Iterator[None]:
@@ -414,8 +412,6 @@ def train_paper(
     settings: PaperTraining,
     samples: Sequence[PaperSample],
     checked: Sequence[PaperSample],
-    *,
-    processes: Processes,
     **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
     """Train one network and return it, on the CPU in evaluation mode, and the curves.
@@ -427,7 +423,6 @@ def train_paper(
         settings: The recipe.
         samples: Trials to train on.
         checked: Trials to validate on.
-        processes: Processes that share the training.
         options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
@@ -437,14 +432,13 @@ def train_paper(
     network = build(config)
     network.to(usual_device())
     fit_scales(network, samples)
-    own = processes.share(samples)
+    own = share(samples)
     loop = TrainingLoop(
         network,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
         schedule=settings.schedule,
         patience=settings.patience,
-        processes=processes,
         mixed=settings.mixed,
         **options,
     )
