@@ -196,7 +196,7 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
             'event_epochs': 1,
             'recurrent_epochs': 1,
             'joint_epochs': 1,
-            'event_batch': 4,
+            'event_updates': 4,
             'cycles': 10,
         },
         data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.5),

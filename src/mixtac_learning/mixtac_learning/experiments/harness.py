@@ -415,7 +415,9 @@ all_experiments = command(ALL, 'Run all experiments of the paper.')
 
 def experiment(function: Callable[[Context], Outcome]) -> Callable[..., dict[str, Outcome]]:
     """Make a function `Context -> Outcome` a command; its docstring is the help."""
-    made = command(function.__name__, str(function.__doc__))
+    # Typer would keep the ends of lines.
+    paragraphs = (' '.join(part.split()) for part in str(function.__doc__).split('\n\n'))
+    made = command(function.__name__, '\n\n'.join(paragraphs))
     made.run = function  # type: ignore[attr-defined]
     return made
 

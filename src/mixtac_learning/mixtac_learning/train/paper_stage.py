@@ -58,7 +58,7 @@ class PaperTraining:
         seed: Random seed for weights and order.
         frame_epochs: Epochs on single frames of the head, or of the correction of an estimate of
             zero; features do not learn.
-        event_epochs: Epochs of the event path alone, of `_UPDATES` updates each, on changes of the
+        event_epochs: Epochs of the event path alone, of `event_updates` each, on changes of the
             force within stretches of `_STRETCH` windows that begin at the true force.
         recurrent_epochs: Epochs of the recurrent path on the same features of frames.
         joint_epochs: Epochs of the whole network; on single frames where there is no recurrence.
@@ -68,6 +68,7 @@ class PaperTraining:
             the state does.
         group_trials: Trials side by side in an update of the recurrent path.
         event_batch: Stretches per update of the event path; the force changes in half of them.
+        event_updates: Updates per epoch of the event path.
         frame_rate: Largest learning rate of the frame stage.
         event_rate: Largest learning rate of the stage of the event path.
         recurrent_rate: Largest learning rate of the recurrent stage.
@@ -90,6 +91,7 @@ class PaperTraining:
     cycles: int = 5
     group_trials: int = 64
     event_batch: int = 40
+    event_updates: int = 50
     frame_rate: float = 3e-3
     event_rate: float = 2e-3
     recurrent_rate: float = 3e-4
@@ -237,7 +239,6 @@ class FrameStage(PaperStage):
 _ENCODED = 256
 _STRETCH = 25
 """Windows of a stretch of the event stage."""
-_UPDATES = 50
 _MOVES_N = 0.02
 """The force of a stretch counts as changing above this change [N]."""
 
@@ -247,13 +248,13 @@ class EventStage(PaperStage):
 
     def updates(self) -> int:
         """Return the number of updates per epoch."""
-        return _UPDATES
+        return self.settings.event_updates
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
         moving = _moving(self.samples)
         longest = [len(sample.force) - _STRETCH for sample in self.samples]
-        for _ in range(_UPDATES):
+        for _ in range(self.settings.event_updates):
             half = self.settings.event_batch // 2
             drawn = torch.randint(len(moving), (half,), generator=random).tolist()
             chosen = [moving[index] for index in drawn]

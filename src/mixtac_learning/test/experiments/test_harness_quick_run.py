@@ -11,7 +11,6 @@ from memory_groups import simulation_of
 
 from mixtac_learning.experiments import EXPERIMENTS, model, models, slip, vibration
 from mixtac_learning.experiments.harness import all_experiments
-from mixtac_learning.train import paper_stage
 from mixtac_sim.world import plans
 
 pytestmark = pytest.mark.timeout(600)
@@ -32,7 +31,6 @@ def finished(tmp_path_factory, trial):
         patch.setattr(vibration, 'shake', lambda *case: case)
         patch.setattr(vibration, 'spectra', lambda *_: SHAKEN)
         patch.setattr(slip, '_trial', lambda _plan: SLIPPED)
-        patch.setattr(paper_stage, '_UPDATES', 4)
         patch.setattr(model, 'REPETITIONS', 1)
         toy = simulation_of(trial)
         patch.setattr(plans, 'simulate', lambda _spec: toy)
