@@ -69,7 +69,7 @@ def run_ways(plan: TrialPlan, ways: list[str]) -> dict[str, dict[str, Any]]:
         found[way] = here.recv()
         child.join()
     free = plan.uncontrolled()
-    return {'none': {'held': free.held, 'slip_mm': free.slip_mm}} | found
+    return {'none': {name: free[name] for name in ('held', 'slip_mm')}} | found
 
 
 def finish(plan: TrialPlan, loop: ClosedLoop, answer: Connection) -> None:

@@ -23,6 +23,14 @@ class Groups(list):
     def devices(self) -> int:
         return int(self[0].device.max()) + 1
 
+    @property
+    def length(self) -> int:
+        return len(self[0].force)
+
+    @property
+    def frames(self) -> list[int]:
+        return [len(each.frame_force) for each in self]
+
     def load(self, index: int) -> Sequences:
         return self[index]
 

@@ -21,6 +21,7 @@ from mixtac_learning.judge.estimators import stream, trial_estimator
 from mixtac_learning.network import network_of
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.train.config import (
+    ADAPTING,
     DataConfig,
     RunConfig,
     SimulatedData,
@@ -56,7 +57,7 @@ def simulated(monkeypatch, trial) -> list[str]:
 
 RUN = """model: ours
 judged: 1
-training: {{seed: 1, frame_epochs: 3, recurrent_epochs: 6, joint_epochs: 1, force_weight: 10.0}}
+training: {{seed: 1, frame_epochs: 2, recurrent_epochs: 1, joint_epochs: 1, deviation_epochs: 1}}
 data:
   simulated: {{presets: [easy], sensors: 3, trials: 3, seconds: 6.0, seed: 1}}
   cache: {cache}
@@ -80,8 +81,8 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
     kept = sorted(path.name.rpartition('-')[0] for path in (tmp_path / 'data').iterdir())
     assert kept == sorted(simulated[:3])
     curves = json.loads((tmp_path / 'run' / 'curves.json').read_text())['epochs']
-    stages = ['frames'] * 3 + ['recurrent'] * 6 + ['joint']
-    assert [row['stage'] for row in curves] == stages
+    stages = [row['stage'] for row in curves]
+    assert stages == ['frames', 'frames', 'recurrent', 'joint']
     picture = tmp_path / 'trials.png'
     training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
     figures = json.loads(report.read_text())['metrics']['unseen_devices']
@@ -93,9 +94,11 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
 def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial, monkeypatch):
     """The bags are of a gel twice as stiff as the one that the model was trained on."""
     stiff = replace(trial, truth=ForceLabel(trial.truth.t_us, 2.0 * trial.truth.force))
+    for name, value in (('frame_rate', 1e-2), ('recurrent_rate', 3e-3), ('recurrent_epochs', 3)):
+        monkeypatch.setitem(ADAPTING, name, value)
     monkeypatch.setattr(BagSource, 'load', lambda bag: replace(stiff, origin=bag.origin))
     monkeypatch.setattr(BagSource, 'content_key', lambda bag: bag.name)
-    bags = [BagSource(tmp_path / f'trial_{number}') for number in range(5)]
+    bags = [BagSource(tmp_path / f'trial_{number}') for number in range(3)]
     monkeypatch.setattr('mixtac_learning.train.run.bag_sources', lambda *_: bags)
     report, out = tmp_path / 'report.json', tmp_path / 'lab.safetensors'
     folders = {'data': tmp_path / 'data', 'folder': tmp_path / 'run'}
@@ -105,7 +108,7 @@ def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial,
     figures = json.loads(report.read_text())['metrics']
     assert figures['after']['all']['mae'] < 0.9 * figures['before']['all']['mae']
     assert figures['before']['all']['trials'] == 1
-    assert (model.card.training['trials'], model.card.training['start']) == (4, 'fger_small')
+    assert (model.card.training['trials'], model.card.training['start']) == (2, 'fger_small')
     assert model.config == start.config
     changed = {
         n for n, value in model.tensors.items() if not np.array_equal(value, start.tensors[n])
@@ -193,7 +196,7 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
             'event_epochs': 1,
             'recurrent_epochs': 1,
             'joint_epochs': 1,
-            'event_batch': 4,
+            'event_updates': 4,
             'cycles': 10,
         },
         data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.5),

@@ -38,7 +38,6 @@ STABILITY_PLACE = 'section IV-B, Fig. 4'
 STABILITY_CONDITIONS = (
     'rolling MAE in a sliding window of 0.5 s, median of all trials of a seed in 5 s'
 )
-Bins = list['NDArray[np.float64]']
 
 
 @experiment
@@ -78,7 +77,7 @@ def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     return np.asarray(sums / counts)
 
 
-def rolling_bins(estimate: TrialEstimate) -> Bins:
+def rolling_bins(estimate: TrialEstimate) -> list[NDArray[np.float64]]:
     """Return the rolling error of a trial [N], in spans of 5 s from its start."""
     interval = estimate.interval_s
     width = max(round(ROLLING_S / interval), 1)
@@ -92,7 +91,7 @@ def rolling_bins(estimate: TrialEstimate) -> Bins:
     return [error[which == k] for k in range(last + 1)]
 
 
-def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
+def _pooled_bins(trials: Sequence[TrialEstimate]) -> list[NDArray[np.float64]]:
     cut = [rolling_bins(each) for each in trials]
     return [
         np.concatenate([bins[k] for bins in cut if k < len(bins)])

@@ -13,9 +13,9 @@ from __future__ import annotations
 import datetime as dt
 import functools
 import hashlib
-import importlib
 import math
 import os
+import pkgutil
 import platform
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -415,7 +415,9 @@ all_experiments = command(ALL, 'Run all experiments of the paper.')
 
 def experiment(function: Callable[[Context], Outcome]) -> Callable[..., dict[str, Outcome]]:
     """Make a function `Context -> Outcome` a command; its docstring is the help."""
-    made = command(function.__name__, str(function.__doc__))
+    # Typer would keep the ends of lines.
+    paragraphs = (' '.join(part.split()) for part in str(function.__doc__).split('\n\n'))
+    made = command(function.__name__, '\n\n'.join(paragraphs))
     made.run = function  # type: ignore[attr-defined]
     return made
 
@@ -430,13 +432,11 @@ def select(names: Sequence[str]) -> dict[str, Callable[[Context], Outcome]]:
         MixtacError: There is no such experiment.
     """
     places = {name: EXPERIMENTS[name] for name in EXPERIMENTS if name not in {ALL, 'models'}}
-    for name in names:
-        if name not in {*places, ALL}:
-            known = ', '.join(sorted(places))
-            raise MixtacError(f'unknown experiment {name!r}', remedy=f'choose from {known}, or all')
-    found = {}
-    for name, place in places.items():
-        if ALL in names or name in names:
-            module, _, function = place.partition(':')
-            found[name] = getattr(importlib.import_module(module), function).run
-    return found
+    for name in set(names).difference(places, {ALL}):
+        known = ', '.join(sorted(places))
+        raise MixtacError(f'unknown experiment {name!r}', remedy=f'choose from {known}, or all')
+    return {
+        name: pkgutil.resolve_name(place).run
+        for name, place in places.items()
+        if ALL in names or name in names
+    }

@@ -87,34 +87,15 @@ def test_trials(sizes: Sizes, seed: int, profile: str) -> list[TrialSpec]:
 def describe(sizes: Sizes, profile: str) -> str:
     """Return sizes, preset and seeds of the trials in words."""
     count, seconds = sizes.tests[profile]
-    trained = ', '.join(dict.fromkeys(sizes.mix[: sizes.trials]))
     return (
-        f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
-        f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
-        f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
-        f' days (trial seeds from {FIRST_TEST})'
+        f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials} trials of'
+        f' {sizes.seconds:g} s (data seeds from {FIRST_DATA_SEED}), tested on {count} {profile}'
+        f' trials of {seconds:g} s on other days (trial seeds from {FIRST_TEST})'
     )
 
 
 Case = tuple[str, int]
 """A model and a seed."""
-
-
-def train(context: Context, configs: Mapping[Case, RunConfig]) -> dict[Case, Weights]:
-    """Return the trained models by model and seed.
-
-    Args:
-        context: The run; samples are stored in its folder.
-        configs: Training runs by model and seed.
-    """
-    cache = str(context.folder / 'samples')
-    chosen = [
-        replace(config, data=replace(config.data, cache=cache)) for config in configs.values()
-    ]
-    _prepare(context, chosen)
-    # Each training keeps its own checkpoints.
-    trained = context.run('training', _train, [(c,) for c in chosen], stored=False)
-    return dict(zip(configs, trained, strict=True))
 
 
 def _train(config: RunConfig) -> Weights:
@@ -131,14 +112,9 @@ def _prepare(context: Context, configs: Sequence[RunConfig]) -> None:
     """Prepare the samples before trainings run side by side, which would prepare them twice."""
     sources = {s.name: s for config in configs for s in training_sources(config.data)}
     recipes = {repr(recipe.facts): recipe for recipe in map(recipe_of, configs)}
-    bar = context.progress.add_task('preparing samples', total=len(sources))
-    prepare(
-        [*sources.values()],
-        [*recipes.values()],
-        context.folder / 'samples',
-        context.jobs,
-        lambda done: context.progress.update(bar, completed=done),
-    )
+    folder = context.folder / 'samples'
+    cases = [([source], [*recipes.values()], folder) for source in sources.values()]
+    context.run('preparing samples', prepare, cases, stored=False)
 
 
 def train_and_test(
@@ -160,18 +136,20 @@ def train_and_test(
     Raises:
         MixtacError: A trial cannot be used.
     """
-    weights = train(
-        context,
-        {
-            (model, seed): run_config(context.sizes, model, seed, data(seed))
-            for model in models
-            for seed in range(context.seeds)
-        },
-    )
+    cache = str(context.folder / 'samples')
+    cases = [(model, seed) for model in models for seed in range(context.seeds)]
+    configs = [
+        run_config(context.sizes, model, seed, replace(data(seed), cache=cache))
+        for model, seed in cases
+    ]
+    _prepare(context, configs)
+    # Each training keeps its own checkpoints.
+    trained = context.run('training', _train, [(each,) for each in configs], stored=False)
+    weights = dict(zip(cases, trained, strict=True))
     tested: dict[TrialSpec, dict[Case, Weights]] = {}
-    for (model, seed), trained in weights.items():
-        for spec in tests(seed):
-            tested.setdefault(spec, {})[model, seed] = trained
+    for case, weight in weights.items():
+        for spec in tests(case[1]):
+            tested.setdefault(spec, {})[case] = weight
     found: Estimates = {}
     for result in context.run(f'{title}: testing', _judge, [*tested.items()], stored=False):
         for (model, seed), estimate in result.items():
@@ -197,13 +175,12 @@ def profile_estimates(context: Context, profile: str) -> Estimates:
     Raises:
         MixtacError: Trials cannot be used.
     """
-    sizes = context.sizes
     return train_and_test(
         context,
         profile,
         JUDGED[profile],
-        lambda seed: training_data(sizes, seed),
-        lambda seed: test_trials(sizes, seed, profile),
+        lambda seed: training_data(context.sizes, seed),
+        lambda seed: test_trials(context.sizes, seed, profile),
     )[1]
 
 

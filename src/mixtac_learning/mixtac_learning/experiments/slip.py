@@ -277,27 +277,9 @@ COURSE_MS = np.arange(-10.0, 80.0, 0.5)
 """Times of the stored displacement from the onset of the knock [180] [ms]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Arrest:
-    """How an object comes to rest.
-
-    Attributes:
-        slip_mm: Displacement from the knock on [mm].
-        arrest_ms: Time from the knock to rest [ms]; NaN for never.
-    """
-
-    slip_mm: float
-    arrest_ms: float
-
-    @property
-    def held(self) -> bool:
-        """Whether it came to rest, no more than 5 mm lower."""
-        return bool(np.isfinite(self.arrest_ms)) and self.slip_mm <= HELD_MM
-
-
 def arrest_of(
     t_us: NDArray[np.int64], object_mm: Floats, speed_mm_s: Floats, onset_us: float
-) -> Arrest:
+) -> dict[str, Any]:
     """Return how an object comes to rest after a knock.
 
     Args:
@@ -305,13 +287,22 @@ def arrest_of(
         object_mm: Position of the object [n] [mm].
         speed_mm_s: Speed of the object [n] [mm/s].
         onset_us: Onset of the knock [us].
+
+    Returns:
+        `slip_mm`: Displacement from the knock on [mm].
+        `arrest_ms`: Time from the knock to rest [ms], None for never.
+        `held`: Whether it came to rest, no more than 5 mm lower.
     """
     first = int(np.searchsorted(t_us, onset_us))
     slip = float(object_mm[-1] - object_mm[max(first - 1, 0)])
     moving = np.flatnonzero(speed_mm_s != 0.0)
     last = int(moving[-1]) if len(moving) else first
-    stopped = t_us[-1] - t_us[last] >= 1e6 * STILL_S
-    return Arrest(slip, 1e-3 * float(t_us[last] - onset_us) if stopped else float('nan'))
+    stopped = bool(t_us[-1] - t_us[last] >= 1e6 * STILL_S)
+    return {
+        'slip_mm': slip,
+        'arrest_ms': 1e-3 * float(t_us[last] - onset_us) if stopped else None,
+        'held': stopped and slip <= HELD_MM,
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,8 +356,8 @@ class TrialPlan:
             setup = replace(setup, mass_g=setup.mass_g * self.grasp_n / drawn.grasp_n)
         return Grasp(setup, *day, camera=camera, rest_s=rest_s)
 
-    def uncontrolled(self) -> Arrest:
-        """Return the arrest while the arm does not move."""
+    def uncontrolled(self) -> dict[str, Any]:
+        """Return how the object comes to rest while the arm does not move; see `arrest_of`."""
         grasp = self.grasp(EARLY_KNOCK_S, camera=False)
         block = grasp.advance(np.zeros(round((EARLY_KNOCK_S + REST_S) / GRID_S)))
         return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * EARLY_KNOCK_S)
@@ -416,7 +407,6 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
     loop.run(plan.knock_s + AFTER_KNOCK_S)
     course, free = loop.course, plan.uncontrolled()
     t_us, object_mm, normal_n = (course[name] for name in ('t_us', 'object_mm', 'normal_n'))
-    arrest = arrest_of(t_us, object_mm, course['speed_mm_s'], onset_us)
     answered_us, slipping = np.array(loop.answered_us), np.array([s.slipping for s in loop.steps])
     after = answered_us[slipping & (answered_us > onset_us)]
     ends_us = np.array([step.end_us for step in loop.steps])
@@ -433,11 +423,9 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
         'knock_share': float(normal_n[np.searchsorted(t_us, onset_us)]) / grasp.grasp_n,
         'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
         'detection_ms': 1e-3 * float(after[0] - onset_us) if len(after) else None,
-        'slip_mm': arrest.slip_mm,
-        'arrest_ms': arrest.arrest_ms if np.isfinite(arrest.arrest_ms) else None,
-        'held': arrest.held,
-        'open_slip_mm': free.slip_mm,
-        'open_held': free.held,
+        **arrest_of(t_us, object_mm, course['speed_mm_s'], onset_us),
+        'open_slip_mm': free['slip_mm'],
+        'open_held': free['held'],
         'peak_n': float(normal_n.max()),
         'advance_mm': float(course['advance_mm'][-1]),
         'false_alarms': int(np.count_nonzero(object_mm[now] - object_mm[then] <= MOVED_MM)),

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vibrations in the events (paper, section IV-A).
 
-Three signals are examined in bins of equal length: the number of events, ON minus OFF events, and
-flow, which is the polarity times the gradient of the logarithm of an earlier frame. Flow is
-summed in square cells, and the signal is the first principal component of these sums, so the
-position of the contact need not be known.
+Two signals are examined in bins of equal length: the number of events, and flow, which is the
+polarity times the gradient of the logarithm of an earlier frame. Flow is summed in square cells,
+and the signal is the first principal component of these sums, so the position of the contact need
+not be known.
 
 Two kinds of contact are compared. `pressed`: the vibrating body stays 0.6 mm deep in the skin; it
 causes as many events on the way in as on the way out, so the event count repeats twice per
@@ -55,20 +55,17 @@ CELL_PX = 32
 """Side of a cell in which flow is summed [px]."""
 COUNT = 'count'
 """Signal: number of events."""
-POLARITY = 'polarity'
-"""Signal: ON minus OFF events."""
 FLOW = 'flow'
 """Signal: polarity times the gradient of a frame, summed over events."""
-BINS_US = {COUNT: 2000, POLARITY: 2000, FLOW: 1000}
+BINS_US = {COUNT: 2000, FLOW: 1000}
 """Length of a bin [us]: that of the paper, and half of it where twice the tone has to fit."""
 _FINER = 8
 """Zero padding: peaks are located to an eighth of the resolution."""
 
 
-Shaken = tuple[Events, NDArray[np.uint16]]
-
-
-def shake(kind: str, size_mm: float, tone_hz: float, seed: int) -> Shaken:
+def shake(
+    kind: str, size_mm: float, tone_hz: float, seed: int
+) -> tuple[Events, NDArray[np.uint16]]:
     """Return events of a vibration of the simulated sensor [us], and a frame from before it [DN].
 
     Args:
@@ -102,7 +99,7 @@ def _us(seconds: float) -> int:
 def binned(
     events: Events, frame: NDArray[np.uint16], bin_us: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return count, ON minus OFF, and flow of the events in each bin of a vibration.
+    """Return count and flow of the events in each bin of a vibration.
 
     Args:
         events: Sorted events; camera clock [us].
@@ -118,17 +115,13 @@ def binned(
     place = (inside.t - start_us) // bin_us * cells + y // CELL_PX * wide + x // CELL_PX
     slope_y, slope_x = np.gradient(np.log(np.maximum(frame.astype(np.float64), 1.0)))
     sign = np.where(inside.polarity, 1.0, -1.0)
-    weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
+    weights = (sign * slope_x[y, x], sign * slope_y[y, x], None)
     sums = [np.bincount(place, weight, bins * cells) for weight in weights]
-    across, down, on, off = np.reshape(sums, (4, bins, cells))
+    across, down, count = np.reshape(sums, (3, bins, cells))
     # An edge that moves along its gradient darkens the pixel: the sign does not matter here.
     table = np.concatenate([across, down], axis=1)
     left, strength, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
-    return {
-        COUNT: (on + off).sum(axis=1),
-        POLARITY: (on - off).sum(axis=1),
-        FLOW: left[:, 0] * strength[0],
-    }
+    return {COUNT: count.sum(axis=1), FLOW: left[:, 0] * strength[0]}
 
 
 def spectra(events: Events, frame: NDArray[np.uint16]) -> dict[str, Any]:
@@ -162,7 +155,6 @@ FIRST_SEED = 7300
 _PLACE = 'section IV-A, Fig. 3'
 SIGNALS = {
     COUNT: 'number of events, 2 ms bins',
-    POLARITY: 'ON minus OFF, 2 ms bins',
     FLOW: 'flow, 1 ms bins',
 }
 Found = tuple[float, dict[str, Any]]
@@ -179,7 +171,7 @@ def vibration(context: Context) -> Outcome:
     The paper states neither amplitude nor pre-load. A pressed vibration causes as many events each
     way: their number repeats at twice its frequency, which 2 ms bins alias above 125 Hz. Contact
     that is lost in part of each period (tapping) breaks the symmetry: one burst per period. Both
-    are shown. Unequal ON and OFF thresholds break it too, but by less than the lamp ripple.
+    are shown.
 
     Flow is the polarity times the gradient of an earlier frame, summed in cells of 32 pixels, first
     principal component. Its sign changes with the motion, so that twice the frequency does not
@@ -238,11 +230,11 @@ def _rows(kind: str, size_mm: float, signal: str, by_seed: Sequence[Sequence[Fou
     counted = signal == COUNT and max(tones) <= 250.0
     text = f'{len(tones)} tones; within {TOLERANCE_HZ:g} Hz'
     paper = 1.0 if counted else None
-    rows = [Row(f'{name}: share of tones', shares, paper, _PLACE, '', text)]
-    if signal != POLARITY:
-        worst = Value.of(max(each) for each in errors)
-        rows.append(Row(f'{name}: largest error', worst, None, '', 'Hz', f'{len(tones)} tones'))
-    return rows
+    worst = Value.of(max(each) for each in errors)
+    return [
+        Row(f'{name}: share of tones', shares, paper, _PLACE, '', text),
+        Row(f'{name}: largest error', worst, None, '', 'Hz', f'{len(tones)} tones'),
+    ]
 
 
 def _draw(path: Path, panels: dict[str, list[Found]]) -> Path:

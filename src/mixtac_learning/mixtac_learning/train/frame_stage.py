@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +144,8 @@ class DiskGroups:
 
     Attributes:
         devices: Number of different sensors over all groups and processes.
+        length: Windows that every trial is padded to.
+        frames: Number of frames of each group.
     """
 
     def __init__(
@@ -156,14 +157,15 @@ class DiskGroups:
         chosen = list(range(len(paths)) if own is None else own)
         # One at a time is mapped: there may be more files than a process may open.
         facts = [
-            (sensor_of(sample.origin, f'trial {index}'), len(sample.force))
+            (sensor_of(sample.origin, f'trial {index}'), len(sample.force), len(sample.frame_force))
             for index, sample in enumerate(load_sample(path, Sample) for path in paths)
         ]
-        sensors, self._numbers = np.unique([key for key, _ in facts], return_inverse=True)
+        sensors, self._numbers = np.unique([key for key, *_ in facts], return_inverse=True)
         self.devices = len(sensors)
-        self._length = max(windows for _, windows in facts)
+        self.length = max(windows for _, windows, _ in facts)
         self._paths = list(paths)
         self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]
+        self.frames = [sum(facts[i][2] for i in group) for group in self._groups]
         self._kept: tuple[int, Sequences] | None = None
 
     def __len__(self) -> int:
@@ -181,7 +183,7 @@ class DiskGroups:
             members = self._groups[index]
             samples = [load_sample(self._paths[i], Sample) for i in members]
             numbers = [self._numbers[i] for i in members]
-            self._kept = index, stack(samples, numbers, self._length)
+            self._kept = index, stack(samples, numbers, self.length)
         return self._kept[1]
 
 
@@ -356,14 +358,9 @@ class FrameStage(FgerStage):
             return list(self.model.network.frame.head.parameters())
         return [*frame_parameters(self.model.network), self.model.log_gains]
 
-    @cached_property
-    def _updates(self) -> int:
-        frames = [len(self.groups.load(index).frame_force) for index in range(len(self.groups))]
-        return sum(-(-count // self.settings.frame_batch) for count in frames)
-
     def updates(self) -> int:
-        """Return the number of updates per epoch; the groups are read for it once."""
-        return self._updates
+        """Return the number of updates per epoch."""
+        return sum(-(-count // self.settings.frame_batch) for count in self.groups.frames)
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch: groups in random order, frames shuffled within each."""

@@ -32,81 +32,76 @@ PATIENCE = timedelta(days=7)
 """How long processes wait for the one that prepares the data; by default it is half an hour."""
 
 
-@dataclass(frozen=True, slots=True)
-class Processes:
-    """The place of this process among those that share the training.
-
-    Attributes:
-        rank: 0 to `world` - 1; only 0 writes files and prints.
-        world: Number of processes.
-    """
-
-    rank: int = 0
-    world: int = 1
-
-    @staticmethod
-    def join() -> Processes:
-        """Join the processes that `torchrun` started; without it there is only this one."""
-        world = int(os.environ.get('WORLD_SIZE', '1'))
-        if world <= 1:
-            return Processes()
+def join_processes() -> None:
+    """Join the processes that `torchrun` started; without it there is only this one."""
+    if int(os.environ.get('WORLD_SIZE', '1')) > 1:
         dist.init_process_group('gloo', timeout=PATIENCE)
-        return Processes(dist.get_rank(), world)
 
-    def leave(self) -> None:
-        """Leave the group, all at once; after an error, torchrun ends the others."""
-        if self.world > 1:
-            dist.barrier()
-            dist.destroy_process_group()
 
-    @property
-    def leads(self) -> bool:
-        """Whether this process writes files and reports."""
-        return self.rank == 0
+def leave_processes() -> None:
+    """Leave the other processes, all at once; after an error, torchrun ends them."""
+    wait()
+    if dist.is_initialized():
+        dist.destroy_process_group()
 
-    def share(self, items: Sequence[T]) -> list[T]:
-        """Return this process's part of a sequence, of nearly equal size.
 
-        Raises:
-            TrainingError: There are fewer items than processes: all of them refuse alike.
-        """
-        if len(items) >= self.world:
-            return list(items[self.rank :: self.world])
-        trials = f'{len(items)} trials are too few for {self.world} processes'
-        raise TrainingError(trials, remedy='start fewer processes, or give more trials')
+def rank() -> int:
+    """Return the number of this process, from 0; only 0 writes files and prints."""
+    return dist.get_rank() if dist.is_initialized() else 0
 
-    def mean(self, tensor: Tensor) -> Tensor:
-        """Return the mean of a tensor over all processes."""
-        if self.world == 1:
-            return tensor
-        total = tensor.detach().cpu().clone()
-        dist.all_reduce(total)
-        return (total / self.world).to(tensor.device)
 
-    def smallest(self, number: int) -> int:
-        """Return the smallest of all processes' numbers."""
-        if self.world == 1:
-            return number
-        value = torch.tensor(number)
+def world() -> int:
+    """Return the number of processes that share the training."""
+    return dist.get_world_size() if dist.is_initialized() else 1
+
+
+def wait() -> None:
+    """Wait for all processes."""
+    if dist.is_initialized():
+        dist.barrier()
+
+
+def share(items: Sequence[T]) -> list[T]:
+    """Return this process's part of a sequence, of nearly equal size.
+
+    Raises:
+        TrainingError: There are fewer items than processes: all of them refuse alike.
+    """
+    if len(items) >= world():
+        return list(items[rank() :: world()])
+    trials = f'{len(items)} trials are too few for {world()} processes'
+    raise TrainingError(trials, remedy='start fewer processes, or give more trials')
+
+
+def mean(tensor: Tensor) -> Tensor:
+    """Return the mean of a tensor over all processes."""
+    if world() == 1:
+        return tensor
+    total = tensor.detach().cpu().clone()
+    dist.all_reduce(total)
+    return (total / world()).to(tensor.device)
+
+
+def smallest(number: int) -> int:
+    """Return the smallest of all processes' numbers."""
+    value = torch.tensor(number)
+    if world() > 1:
         dist.all_reduce(value, dist.ReduceOp.MIN)
-        return int(value)
+    return int(value)
 
-    def average_gradients(self, parameters: Sequence[nn.Parameter]) -> None:
-        """Average the gradients over all processes; a missing one counts as zero."""
-        for each in parameters if self.world > 1 else ():
-            each.grad = self.mean(torch.zeros_like(each) if each.grad is None else each.grad)
 
-    @torch.no_grad()
-    def average_weights(self, module: nn.Module) -> None:
-        """Give all processes the mean of all weights and statistics."""
-        for each in module.state_dict().values() if self.world > 1 else ():
-            if each.is_floating_point():
-                each.copy_(self.mean(each))
+def average_gradients(parameters: Sequence[nn.Parameter]) -> None:
+    """Average the gradients over all processes; a missing one counts as zero."""
+    for each in parameters if world() > 1 else ():
+        each.grad = mean(torch.zeros_like(each) if each.grad is None else each.grad)
 
-    def wait(self) -> None:
-        """Wait for all processes."""
-        if self.world > 1:
-            dist.barrier()
+
+@torch.no_grad()
+def average_weights(module: nn.Module) -> None:
+    """Give all processes the mean of all weights and statistics."""
+    for each in module.state_dict().values() if world() > 1 else ():
+        if each.is_floating_point():
+            each.copy_(mean(each))
 
 
 Show = Callable[[str, int, int, str], None]
@@ -173,8 +168,7 @@ def load_checkpoint(path: Path, fingerprint: str) -> tuple[Progress, Parts] | No
         fingerprint: Fingerprint of the run to be resumed.
 
     Raises:
-        TrainingError: It belongs to a run with other settings or data, or of an older version,
-            or cannot be read.
+        TrainingError: It belongs to a run with other settings or data, or cannot be read.
     """
     if not path.exists():
         return None
@@ -183,9 +177,9 @@ def load_checkpoint(path: Path, fingerprint: str) -> tuple[Progress, Parts] | No
     for name, array in arrays.items():
         part, _, rest = name.partition('.')
         parts.setdefault(part, {})[rest] = torch.from_numpy(array)
-    if header.get('fingerprint') != fingerprint or 'stages' not in parts['random']:
+    if header.get('fingerprint') != fingerprint:
         raise TrainingError(
-            f'{path} belongs to a run with other settings or data, or of an older version',
+            f'{path} belongs to a run with other settings or data',
             remedy='give another folder with --folder, or remove it to start over',
         )
     return Progress(**json.loads(header['progress'])), parts
@@ -266,7 +260,6 @@ class TrainingLoop:
         checkpoint: File of the checkpoint; None for none.
         fingerprint: Identifies the run; a checkpoint of another run is refused.
         show: Called after each epoch.
-        processes: Processes that share the training.
         mixed: In bfloat16 on a CPU as well.
         progress: Progress of the run.
     """
@@ -280,7 +273,6 @@ class TrainingLoop:
     checkpoint: Path | None = None
     fingerprint: str = ''
     show: Show = lambda *_: None
-    processes: Processes = field(default_factory=Processes)
     mixed: bool = False
     progress: Progress = field(default_factory=Progress)
 
@@ -306,7 +298,7 @@ class TrainingLoop:
         progress = self.progress
         if progress.epoch == 0:
             stage.begin()
-            self.processes.average_weights(self.module)
+            average_weights(self.module)
         optimiser = torch.optim.AdamW(
             stage.parameters(), lr=stage.rate, weight_decay=self.weight_decay
         )
@@ -324,7 +316,7 @@ class TrainingLoop:
             started, busy = time.monotonic(), time.process_time()
             loss = self._epoch(stage, optimiser, random)
             error = self._validate(stage)
-            self.processes.average_weights(self.module)
+            average_weights(self.module)
             progress.epoch += 1
             if error is not None:
                 progress.since_best += 1
@@ -338,7 +330,7 @@ class TrainingLoop:
             checked = '' if error is None else f', validation {error:.4f} N'
             text = f'{stage.name}, loss {loss:.5f} N{checked}'
             self.show(stage.name, progress.epoch, stage.epochs, text)
-            if self.checkpoint is not None and self.processes.leads:
+            if self.checkpoint is not None and rank() == 0:
                 moments = optimiser.state_dict()['state']
                 parts = {
                     'model': self.module.state_dict(),
@@ -360,7 +352,7 @@ class TrainingLoop:
         self.module.train()
         (group,) = optimiser.param_groups
         parameters = group['params']
-        updates = max(self.processes.smallest(stage.updates()), 1)
+        updates = max(smallest(stage.updates()), 1)
         total, count = 0.0, 0
         device = parameters[0].device.type
         losses = stage.losses(random)
@@ -369,11 +361,11 @@ class TrainingLoop:
             group['lr'] = stage.rate * schedule_factor(self.schedule, part)
             with torch.autocast(device, torch.bfloat16, enabled=self.mixed or device == 'cuda'):
                 loss = next(losses, None)
-            if not self.processes.smallest(int(loss is not None)) or loss is None:
+            if not smallest(int(loss is not None)) or loss is None:
                 break
             optimiser.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
-            self.processes.average_gradients(parameters)
+            average_gradients(parameters)
             torch.nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
             optimiser.step()
             total, count = total + float(loss.detach()), count + 1
@@ -387,4 +379,4 @@ class TrainingLoop:
     def _validate(self, stage: Stage) -> float | None:
         self.module.eval()
         error = stage.validate()
-        return None if error is None else float(self.processes.mean(torch.tensor(error)))
+        return None if error is None else float(mean(torch.tensor(error)))

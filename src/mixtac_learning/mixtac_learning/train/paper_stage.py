@@ -43,7 +43,7 @@ from mixtac_learning.paper.samples import (
     run_samples,
 )
 from mixtac_learning.train.config import check_settings
-from mixtac_learning.train.loop import Processes, Stage, TrainingLoop
+from mixtac_learning.train.loop import Stage, TrainingLoop, share
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class PaperTraining:
         seed: Random seed for weights and order.
         frame_epochs: Epochs on single frames of the head, or of the correction of an estimate of
             zero; features do not learn.
-        event_epochs: Epochs of the event path alone, of `_UPDATES` updates each, on changes of the
+        event_epochs: Epochs of the event path alone, of `event_updates` each, on changes of the
             force within stretches of `_STRETCH` windows that begin at the true force.
         recurrent_epochs: Epochs of the recurrent path on the same features of frames.
         joint_epochs: Epochs of the whole network; on single frames where there is no recurrence.
@@ -68,6 +68,7 @@ class PaperTraining:
             the state does.
         group_trials: Trials side by side in an update of the recurrent path.
         event_batch: Stretches per update of the event path; the force changes in half of them.
+        event_updates: Updates per epoch of the event path.
         frame_rate: Largest learning rate of the frame stage.
         event_rate: Largest learning rate of the stage of the event path.
         recurrent_rate: Largest learning rate of the recurrent stage.
@@ -90,6 +91,7 @@ class PaperTraining:
     cycles: int = 5
     group_trials: int = 64
     event_batch: int = 40
+    event_updates: int = 50
     frame_rate: float = 3e-3
     event_rate: float = 2e-3
     recurrent_rate: float = 3e-4
@@ -158,11 +160,9 @@ class PaperStage(Stage):
         """Return the mean absolute error on the trials to validate on [N]."""
         if not self.checked:
             return None
-        total, count = 0.0, 0
-        runs = run_samples(self.network, self.checked)
-        for sample, force in zip(self.checked, runs, strict=True):
-            total, count = total + float(abs(force - sample.force).sum()), count + len(force)
-        return total / count
+        pairs = zip(self.checked, run_samples(self.network, self.checked), strict=True)
+        total = sum(float(abs(force - sample.force).sum()) for sample, force in pairs)
+        return total / sum(len(sample.force) for sample in self.checked)
 
     @contextmanager
     def plainly(self) -> Iterator[None]:
@@ -239,7 +239,6 @@ class FrameStage(PaperStage):
 _ENCODED = 256
 _STRETCH = 25
 """Windows of a stretch of the event stage."""
-_UPDATES = 50
 _MOVES_N = 0.02
 """The force of a stretch counts as changing above this change [N]."""
 
@@ -249,13 +248,13 @@ class EventStage(PaperStage):
 
     def updates(self) -> int:
         """Return the number of updates per epoch."""
-        return _UPDATES
+        return self.settings.event_updates
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch."""
         moving = _moving(self.samples)
         longest = [len(sample.force) - _STRETCH for sample in self.samples]
-        for _ in range(_UPDATES):
+        for _ in range(self.settings.event_updates):
             half = self.settings.event_batch // 2
             drawn = torch.randint(len(moving), (half,), generator=random).tolist()
             chosen = [moving[index] for index in drawn]
@@ -414,8 +413,6 @@ def train_paper(
     settings: PaperTraining,
     samples: Sequence[PaperSample],
     checked: Sequence[PaperSample],
-    *,
-    processes: Processes,
     **options: Any,  # noqa: ANN401
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
     """Train one network and return it, on the CPU in evaluation mode, and the curves.
@@ -427,7 +424,6 @@ def train_paper(
         settings: The recipe.
         samples: Trials to train on.
         checked: Trials to validate on.
-        processes: Processes that share the training.
         options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
@@ -437,14 +433,13 @@ def train_paper(
     network = build(config)
     network.to(usual_device())
     fit_scales(network, samples)
-    own = processes.share(samples)
+    own = share(samples)
     loop = TrainingLoop(
         network,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
         schedule=settings.schedule,
         patience=settings.patience,
-        processes=processes,
         mixed=settings.mixed,
         **options,
     )

@@ -26,9 +26,9 @@ from mixtac_learning.network import model_of, network_of
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperSample, paper_recipe
+from mixtac_learning.train import loop
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
 from mixtac_learning.train.frame_stage import DiskGroups
-from mixtac_learning.train.loop import Processes, Show
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import TrialSource, bag_sources
@@ -157,46 +157,44 @@ def train_model(
     folder: Path | None = None,
     *,
     jobs: int = 1,
-    show: Show = lambda *_: None,
-    processes: Processes | None = None,
+    show: loop.Show = lambda *_: None,
 ) -> Trained:
     """Train as a configuration describes, and write the curves; whole trials are held out.
+
+    Of the processes that share the training one prepares the samples, and the others find them.
 
     Args:
         config: The run.
         folder: Checkpoint and curves; None keeps nothing, so that an interrupted run starts over.
         jobs: Processes that prepare samples.
         show: Called while samples are prepared, and after each epoch.
-        processes: Processes that share the training; None for this one. One prepares the samples,
-            the others find them.
 
     Raises:
         ConfigError: A setting is unknown or impossible.
         DatasetError: No trial can be used.
         TrainingError: The folder is another run's, or training fails.
     """
-    together, recipe = processes or Processes(), recipe_of(config)
+    leads, recipe = loop.rank() == 0, recipe_of(config)
     kind = TrainingSettings if config.model == OURS else PaperTraining
     settings: Any = from_mapping(kind, config.training, 'training')
     sources = training_sources(config.data)
-    if not together.leads:
-        together.wait()
+    if not leads:
+        loop.wait()
     found, skipped = prepare(
         sources,
         [recipe],
         Path(config.data.cache),
-        jobs if together.leads else 1,
+        jobs if leads else 1,
         lambda done: show('preparing', done, len(sources), 'preparing'),
     )
-    if together.leads:
-        together.wait()
+    if leads:
+        loop.wait()
     sensors = {index: sensor_of(sources[index].origin, f'trial {index}') for index in found}
     held = held_out(sensors, config.data.checked)
     trained = [index for index in found if index not in held]
     paths, checked = ([found[index][0] for index in part] for part in (trained, held))
-    text = f'{config.fingerprint()} {[path.name for path in (*paths, *checked)]} {together.world}'
+    text = f'{config.fingerprint()} {[path.name for path in (*paths, *checked)]} {loop.world()}'
     shared: dict[str, Any] = {
-        'processes': together,
         'show': show,
         'checkpoint': None if folder is None else folder / 'checkpoint.safetensors',
         'fingerprint': hashlib.blake2b(text.encode(), digest_size=16).hexdigest(),
@@ -207,7 +205,7 @@ def train_model(
             start = network_of(read_model(find_model(config.start)))
             if not checked:
                 raise DatasetError('one trial cannot be held back', remedy='record two or more')
-        groups = DiskGroups(paths, size, together.share(range(len(paths))))
+        groups = DiskGroups(paths, size, loop.share(range(len(paths))))
         others = DiskGroups(checked, size) if checked else None
         network, curves = train_fger(recipe.config, settings, groups, others, start=start, **shared)
         model = model_of(network, ModelCard({}))
@@ -223,9 +221,9 @@ def train_model(
         'skipped_trials': skipped,
         'minutes': round(sum(row['seconds'] for row in curves) / 60, 1),
         'core_minutes': round(sum(row['core_seconds'] for row in curves) / 60, 2),
-        'processes': together.world,
+        'processes': loop.world(),
     }
-    if folder is not None and together.leads:
+    if folder is not None and leads:
         write_json(folder / 'curves.json', {'epochs': curves})
     model = replace(model, card=ModelCard(training))
     return Trained(model, curves, used, [sources[index] for index in held], skipped)
@@ -247,13 +245,13 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
     Raises:
         MixtacError: As `train_model`, or a file cannot be written.
     """
-    processes = Processes.join()
+    loop.join_processes()
     # Small networks: more threads wait for each other longer than they help.
     torch.set_num_threads(1)
     if folder is None:
         digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
         folder = Path('runs') / f'train_{config.model}_{digest}'
-    with Progress(disable=not processes.leads) as progress:
+    with Progress(disable=loop.rank() > 0) as progress:
         bars: dict[str, TaskID] = {}
 
         def show(name: str, done: int, total: int, text: str) -> None:
@@ -261,11 +259,11 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
                 bars[name] = progress.add_task(name, total=total)
             progress.update(bars[name], completed=done, description=text)
 
-        trained = train_model(config, folder, jobs=jobs, show=show, processes=processes)
-    if processes.leads:
+        trained = train_model(config, folder, jobs=jobs, show=show)
+    if loop.rank() == 0:
         show_skipped(trained.skipped)
         _judge_and_write(config, trained, json)
-    processes.leave()
+    loop.leave_processes()
 
 
 def _judge_and_write(config: RunConfig, trained: Trained, json: Path | None) -> None:

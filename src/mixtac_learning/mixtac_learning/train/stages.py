@@ -47,7 +47,7 @@ from mixtac_learning.train.frame_stage import (
     mean_error,
     mirror_events,
 )
-from mixtac_learning.train.loop import Processes, TrainingError, TrainingLoop
+from mixtac_learning.train.loop import TrainingError, TrainingLoop, average_weights, mean
 
 
 @torch.no_grad()
@@ -172,8 +172,7 @@ class SequenceStage(FgerStage):
 
     def updates(self) -> int:
         """Return the usual number of updates per epoch."""
-        length = len(self.groups.load(0).force)
-        stretches = -(-length // self.settings.chunk_windows)
+        stretches = -(-self.groups.length // self.settings.chunk_windows)
         every = self.settings.blow_every
         return len(self.groups) * (stretches + (-(-stretches // every) if every else 0))
 
@@ -385,7 +384,6 @@ def train_fger(
     checked: DiskGroups | None = None,
     *,
     start: FgerNetwork | None = None,
-    processes: Processes | None = None,
     **options: Any,  # noqa: ANN401
 ) -> tuple[FgerNetwork, list[dict[str, Any]]]:
     """Run all stages and return the network, on the CPU in evaluation mode, and the curves.
@@ -396,15 +394,13 @@ def train_fger(
         groups: Trials to train on.
         checked: Trials to validate on; None for none.
         start: Trained network to adapt; None for random weights.
-        processes: Processes that share the training; None for this one.
         options: Of `TrainingLoop`: checkpoint, fingerprint and show.
 
     Raises:
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
     """
-    processes = processes or Processes()
     learns_across = config.shear and start is None
-    if learns_across and not processes.mean(torch.tensor(float(has_across(groups)))):
+    if learns_across and not mean(torch.tensor(float(has_across(groups)))):
         raise TrainingError(
             'network.shear is set, but the sideways force of no trial is known: only simulated'
             ' trials hold it',
@@ -414,14 +410,13 @@ def train_fger(
     model = NetworkWithGains(config, groups.devices, start)
     if start is None:
         model.fit_scales(groups.load(0))
-    processes.average_weights(model)
+    average_weights(model)
     model.to(usual_device())
     loop = TrainingLoop(
         model,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
         patience=settings.patience,
-        processes=processes,
         **options,
     )
     plan: list[tuple[type[FgerStage], str, int, float]] = [

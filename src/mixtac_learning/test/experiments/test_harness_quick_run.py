@@ -5,21 +5,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import pytest
 from memory_groups import simulation_of
 
 from mixtac_learning.experiments import EXPERIMENTS, model, models, slip, vibration
-from mixtac_learning.experiments.harness import PAPER_SIZES, all_experiments
-from mixtac_learning.experiments.vibration import PRESSED, SIZES_MM, TAPPING
+from mixtac_learning.experiments.harness import all_experiments
 from mixtac_sim.world import plans
 
 pytestmark = pytest.mark.timeout(600)
 SLIPPED = dict.fromkeys(('slip_mm', 'detection_ms', 'arrest_ms', 'held', 'open_held'), 1.0) | {
     'course_mm': [0.0] * len(slip.COURSE_MS)
 }
-"""Result of a trial of slip; test_slip.py runs one."""
+SHAKEN = {name: {'dominant_hz': 70.0, 'spectrum': [0.5] * 251} for name in vibration.SIGNALS}
+"""Results of a trial and of a tone; test_slip.py and test_vibration.py simulate some."""
 
 
 def carried_out(folder):
@@ -28,12 +27,9 @@ def carried_out(folder):
 
 @pytest.fixture(scope='module')
 def finished(tmp_path_factory, trial):
-    sizes = replace(PAPER_SIZES['quick'], tones_hz=(70.0,), fast_tones_hz=())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PAPER_SIZES, 'quick', sizes)
-        patch.setitem(SIZES_MM, PRESSED, (0.1,))
-        patch.setitem(SIZES_MM, TAPPING, (1.0,))
-        patch.setattr(vibration, 'SHAKEN_S', (0.65, 1.15))
+        patch.setattr(vibration, 'shake', lambda *case: case)
+        patch.setattr(vibration, 'spectra', lambda *_: SHAKEN)
         patch.setattr(slip, '_trial', lambda _plan: SLIPPED)
         patch.setattr(model, 'REPETITIONS', 1)
         toy = simulation_of(trial)

@@ -21,7 +21,7 @@ from mixtac_learning.judge.metrics import (
     summarise,
     trial_row,
 )
-from mixtac_learning.judge.report import draw_trials, show_figures
+from mixtac_learning.judge.report import show_figures
 from mixtac_learning.trials.trial import DatasetError
 
 STEP_S = 0.002
@@ -105,13 +105,6 @@ def test_figures_are_shown_by_profile(capsys):
     text = capsys.readouterr().out
     assert all(each in text for each in ('press', 'all', '0.123', '0.200', '0.300'))
     assert 'r2' not in text
-
-
-def test_trials_are_drawn(tmp_path):
-    known = np.linspace(0, 1, 600)
-    path = tmp_path / 'new' / 'trials.png'
-    draw_trials(path, 'a title', [estimate(known, known, p) for p in ('press', 'press', 'static')])
-    assert path.read_bytes()[:4] == b'\x89PNG'
 
 
 def test_figures_of_a_case_worked_out_by_hand():

@@ -10,28 +10,33 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from mixtac_learning.train.loop import Processes, Stage, TrainingLoop
+from mixtac_learning.train import loop
 
 EPOCHS = 12
 POINTS = 41
 """Of two processes, the first has 21: an update more than the other."""
 
 
-class LineStage(Stage):
-    """Batches of a line with noise, in random order; this process's share of the points."""
+class LineStage(loop.Stage):
+    """Batches of a line with noise, in random order.
+
+    Args:
+        model: The line.
+        own: Numbers of the points of this process.
+    """
 
     name, epochs, rate = 'line', EPOCHS, 0.05
 
-    def __init__(self, model: torch.nn.Module, processes: Processes) -> None:
+    def __init__(self, model: torch.nn.Module, own: Sequence[int]) -> None:
         points = torch.Generator().manual_seed(3)
         x = torch.rand(POINTS, 1, generator=points)
         y = 2.0 * x - 0.5 + 0.1 * torch.randn(POINTS, 1, generator=points)
         self.model = model
-        own = processes.share(range(POINTS))
         self.x, self.y = x[own], y[own]
 
     def parameters(self) -> list[torch.nn.Parameter]:
@@ -47,7 +52,7 @@ class LineStage(Stage):
             yield (self.model(self.x[part]) + noise - self.y[part]).square().mean()
 
 
-def fit(folder: Path, kill_after: int, processes: Processes) -> TrainingLoop:
+def fit(folder: Path, kill_after: int) -> loop.TrainingLoop:
     torch.manual_seed(7)
     model = torch.nn.Linear(1, 1)
 
@@ -56,22 +61,21 @@ def fit(folder: Path, kill_after: int, processes: Processes) -> TrainingLoop:
             # In the middle: the epoch is done, its checkpoint is not written.
             os.kill(os.getpid(), signal.SIGKILL)
 
-    loop = TrainingLoop(
+    training = loop.TrainingLoop(
         model,
         seed=5,
         checkpoint=folder / 'checkpoint.safetensors',
         fingerprint='line',
         show=show,
-        processes=processes,
     )
-    loop.run([LineStage(model, processes)])
-    return loop
+    training.run([LineStage(model, loop.share(range(POINTS)))])
+    return training
 
 
 if __name__ == '__main__':
     torch.set_num_threads(1)
-    together = Processes.join()
-    done = fit(Path(sys.argv[1]) / str(together.rank), int(sys.argv[2]), together)
+    loop.join_processes()
+    done = fit(Path(sys.argv[1]) / str(loop.rank()), int(sys.argv[2]))
     weights = [float(value) for value in done.module.state_dict().values()]
-    (Path(sys.argv[1]) / f'weights_{together.rank}.txt').write_text(repr(weights))
-    together.leave()
+    (Path(sys.argv[1]) / f'weights_{loop.rank()}.txt').write_text(repr(weights))
+    loop.leave_processes()
