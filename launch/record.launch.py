@@ -63,7 +63,11 @@ def _recorder(context):
     command += ['--reference-topic', value(context, 'reference_topic')]
     command += ['--wait', str(START_S if value(context, 'device') else RUNNING_S)]
     writer = ExecuteProcess(
-        cmd=command, output='screen', prefix=quiet_imports(), sigterm_timeout=str(STOP_GRACE_S)
+        cmd=command,
+        name='record',
+        output='screen',
+        prefix=quiet_imports(),
+        sigterm_timeout=str(STOP_GRACE_S),
     )
 
     def ended(event, context):

@@ -39,10 +39,10 @@ def _backends() -> list[str]:
 
 
 def check_device(device: str) -> None:
-    """Raise if a device string names nothing known.
+    """Check that a device string names a camera model or a USB backend.
 
     Raises:
-        UnknownDeviceError: It does; lists the known names.
+        UnknownDeviceError: It names neither; the error lists the known names.
     """
     if is_real(device) or device.partition(':')[0] in _backends():
         return

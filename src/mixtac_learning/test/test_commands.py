@@ -57,7 +57,7 @@ def simulated(monkeypatch, trial) -> list[str]:
 
 RUN = """model: ours
 judged: 1
-training: {{seed: 1, frame_epochs: 2, recurrent_epochs: 1, joint_epochs: 1, deviation_epochs: 1}}
+training: {{seed: 1, frame_epochs: 2, recurrent_epochs: 1, joint_epochs: 1}}
 data:
   simulated: {{presets: [easy], sensors: 3, trials: 3, seconds: 6.0, seed: 1}}
   cache: {cache}

@@ -93,5 +93,5 @@ class BlockStreams:
         self._key = stream(seed, purpose).integers(0, 2**64, size=2, dtype=np.uint64)
 
     def block(self, index: int) -> np.random.Generator:
-        """Return the stream of block ``index``, always from its beginning."""
+        """Return a new generator at the beginning of the stream of block ``index``."""
         return np.random.Generator(np.random.Philox(key=self._key, counter=[0, index, 0, 0]))

@@ -105,7 +105,7 @@ class PacedClock(SimulationClock):
             self._reached_us = max(self._reached_us, until_us)
 
     def now_us(self) -> int:
-        """Return simulated time now [us]; delays of the host are counted as lost."""
+        """Return the present simulated time [us]; time that the host is late counts as lost."""
         with self._lock:
             now_us = super().now_us()
             limits = [each.limit_us() for each in self._paces]

@@ -107,7 +107,7 @@ class VirtualDavis346:
             self._faults.clear()
 
     def plug_in(self, serial: str = '') -> None:
-        """Bring the device back as after power-up; earlier sessions stay dead.
+        """Attach the device again, as after power-up; sessions from before do not continue.
 
         Args:
             serial: Serial number to come back with, empty for the same.

@@ -288,8 +288,7 @@ def _connect(path: str) -> socket.socket:
         connection.close()
         raise NoVirtualSensorError(
             f'no virtual sensor listens on {path}',
-            remedy='start one with "ros2 run mixtac_sim virtual_sensor_node", or name its socket: '
-            'device:=virtual:PATH',
+            remedy='wait until it has started, or name its socket: virtual:PATH',
         ) from error
     return connection
 
