@@ -91,9 +91,14 @@ def test_publishes_reference_and_truth_and_plays_on_request(graph, path):
 def test_touches_on_request_and_follows_commanded_forces(graph, path):
     truth = graph.got[TRUTH]
     graph.spin_until(lambda: len(truth) > 100)
+
+    def sideways():
+        return np.hypot(truth[-1].wrench.force.x, truth[-1].wrench.force.y)
+
     service, weight = '/mixtac/virtual_sensor/touch', {'object': 'weight_20_g', 'hold': 0.0}
     for request, reached in (
         ({'gesture': 'press', 'force': 0.4}, lambda f: abs(f[-1] - 0.4) < 0.02),
+        ({'gesture': 'pull', 'force': 1.0, 'pull': 0.2}, lambda _: abs(sideways() - 0.2) < 0.02),
         ({'gesture': 'load'}, lambda f: abs(f[-1] - 0.196) < 0.01),
         ({'gesture': 'release'}, lambda f: f[-1] == 0.0),
         ({'gesture': 'drop'}, lambda f: f.max() > 1.0),
