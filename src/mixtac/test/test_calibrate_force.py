@@ -246,14 +246,13 @@ def test_the_virtual_sensor_is_calibrated_live(ros_domain, tmp_path):
     model, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
     words = [sys.executable, '-m', 'mixtac', 'calibrate-force', '--device', 'virtual', '--yes']
     words += ['--loads', '50,100', '--out', str(model), '--json', str(figures)]
-    words += ['--sideways-loads', '20']
     result = subprocess.run(
         words, env=ros_domain, capture_output=True, text=True, timeout=500, check=False
     )
     assert result.returncode == 0, result.stderr
     found = json.loads(figures.read_text())
     assert 0.2 < found['gain'] < 5.0
-    for each in found['loads'] + found['sideways']['loads']:
+    for each in found['loads']:
         assert abs(each['residual_n']) < 0.1
     assert read_model(model).card.training[SERIAL_KEY] == found['serial'] != ''
 

@@ -14,15 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac import (
-    ModelError,
-    NoCameraError,
-    NotOpenError,
-    Reading,
-    Sensor,
-    SensorError,
-    virtual,
-)
+from mixtac import ModelError, NoCameraError, NotOpenError, Reading, Sensor, SensorError
 from mixtac_core.node.parameters import ParameterError
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_driver.errors import UnknownDeviceError
@@ -121,7 +113,6 @@ def test_a_recording_is_a_sensor_until_it_ends(tmp_path):
         ('virtual', 'no_such_model', ModelError),
         ('usb:no_such_serial', '', NoCameraError),
         ('no_such_device', '', UnknownDeviceError),
-        ('virtual:no_such_scenario', '', SensorError),
         (Path('no_such_bag.mcap'), '', RecordingError),
     ],
 )
@@ -133,9 +124,11 @@ def test_what_cannot_be_opened_says_why(source, model, error):
 
 
 def test_a_line_says_that_a_virtual_sensor_starts(capsys):
+    sensor = Sensor('virtual:no_such_scenario')
     with pytest.raises(SensorError) as caught:
-        _ = virtual.VirtualProcess('no_such_scenario').device
+        sensor.open()
     assert 'no_such_scenario' in str(caught.value)
+    assert not sensor.is_open
     assert 'virtual sensor' in capsys.readouterr().err
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime as dt
 import functools
 import hashlib
+import inspect
 import math
 import os
 import pkgutil
@@ -268,7 +269,7 @@ def write_report(
         run: Description of the run: command, sizes, seeds, versions.
         json: Another file for the content of `report.json`; None for none.
     """
-    experiments = [{'name': name} | outcome.as_dict() for name, outcome in outcomes.items()]
+    experiments = [described(name) | outcome.as_dict() for name, outcome in outcomes.items()]
     rows = [{'experiment': each['name']} | row for each in experiments for row in each['rows']]
     for path in (folder / 'report.json', json):
         write_json(path, {'run': run, 'rows': rows, 'experiments': experiments})
@@ -283,6 +284,13 @@ def write_report(
     text = '\n'.join(lines)
     write_text(folder / 'report.md', text)
     return text
+
+
+def described(name: str) -> dict[str, Any]:
+    """Return what the docstring of an experiment says: title, the paper, and each difference."""
+    text = inspect.cleandoc(str(select([name])[name].__doc__))
+    title, paper, *differences = (' '.join(each.split()) for each in text.split('\n\n'))
+    return {'name': name, 'title': title, 'paper': paper, 'deviations': differences}
 
 
 def number(value: float) -> str:

@@ -54,7 +54,9 @@ def test_a_report_holds_all_rows(tmp_path):
     assert first['ours'] == {'mean': 0.05, 'spread': 0.01, 'count': 3, 'over': 'seeds'}
     assert {'experiment', 'name', 'paper', 'place', 'unit', 'conditions', 'simulated'} <= set(first)
     assert second['ours']['mean'] is None
-    assert content['experiments'][0]['figures'] == {'c': 'a.png'}
+    only = content['experiments'][0]
+    assert only['figures'] == {'c': 'a.png'}
+    assert all(only[name] for name in ('title', 'paper', 'deviations'))
 
 
 def estimate(seconds, seed=0, error=0.1, held=1):

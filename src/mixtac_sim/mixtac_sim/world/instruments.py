@@ -21,7 +21,6 @@ import numpy as np
 from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from mixtac_core.events.arrays import Floats
 from mixtac_sim.grids import STEP_US, log_uniform, stream
@@ -298,7 +297,7 @@ class InertialUnit:
         self._mount = Mount(log_uniform(mount, RESONANCE_HZ), 0.04)
         self._per_n = 1.0 / (mount.uniform(*HEAD_KG) * GRAVITY)
         self._kept = float(np.exp(-2.0 * np.pi * CORNER_HZ * 1e-6 * STEP_US))
-        self._memory = np.zeros((1, 3))
+        self._memory = np.zeros(3)
         self._felt_us, self._felt_g = np.zeros(1), np.zeros((1, 3))
 
     def feel(self, t_us: NDArray[np.int64], wrench: Floats) -> None:
@@ -311,12 +310,10 @@ class InertialUnit:
         _, left = self._mount.swing(t_us, wrench)
         # The camera looks up, so a press on the skin accelerates it downwards.
         push = self._per_n * left[:, :3] * np.array([1.0, 1.0, -1.0])
-        soft, self._memory = lfilter(
-            [1.0 - self._kept], [1.0, -self._kept], push, axis=0, zi=self._memory
-        )
+        _soften(push, self._kept, self._memory)
         keep = max(int(np.searchsorted(self._felt_us, self._next_us)) - 1, 0)
         self._felt_us = np.append(self._felt_us[keep:], t_us.astype(np.float64))
-        self._felt_g = np.vstack([self._felt_g[keep:], soft])
+        self._felt_g = np.vstack([self._felt_g[keep:], push])
 
     def readings(self, until_us: int, interval_us: int) -> list[ImuReading]:
         """Return the samples before a time [us, simulated time] that were not returned before.
@@ -340,3 +337,12 @@ class InertialUnit:
             ImuReading(t, (a[0], a[1], a[2]), (r[0], r[1], r[2]), TEMPERATURE_C)
             for t, a, r in zip(times, acceleration.tolist(), rate.tolist(), strict=True)
         ]
+
+
+@njit(cache=True, nogil=True)
+def _soften(push: Floats, kept: float, memory: Floats) -> None:
+    """Pass each axis through a low-pass of the first order, in place; `memory` is its state [3]."""
+    for k in range(push.shape[0]):
+        for axis in range(push.shape[1]):
+            push[k, axis] = memory[axis] + (1.0 - kept) * push[k, axis]
+            memory[axis] = kept * push[k, axis]
