@@ -180,6 +180,8 @@ def test_a_source_that_opening_again_cannot_mend_is_not_opened_again(kind):
 def test_stop_returns_whenever_it_is_called(monkeypatch, moment_s):
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
     monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
+    # A busy host may be compiling the decoder.
+    monkeypatch.setattr('mixtac_driver.supervisor.STOP_TIMEOUT_S', 120.0)
     fake = FakeCamera()
     watch = Watch(Davis346(backend=FakeBackend(fake)))
     time.sleep(moment_s)

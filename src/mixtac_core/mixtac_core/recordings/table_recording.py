@@ -259,7 +259,7 @@ def _checked_rows(
         rows, given = _needed_rows(path, name, block, first), block.unit or unit
         for key in rows.keys() & set(TIMES):
             if not given:
-                remedy = 'times are whole microseconds without --time-unit: give it, such as s'
+                remedy = 'times without a unit are whole microseconds: give --time-unit s, or ms'
                 _refuse(rows[key] % 1 != 0, f'{path}: {name}', key, rows[key], first, remedy)
             rows[key] = _scaled(f'{path}: {name}', rows[key], given or 'us', wanted_ns)
         for key in 'xy' if name == 'events' else '':

@@ -124,16 +124,12 @@ def test_filling_is_the_inverse(encoding):
 
 
 @pytest.mark.parametrize(
-    'changes',
-    [
-        *({'encoding': 'yuv422'}, {'step': 15}, {'height': 7}, {'height': 0}, {'width': 0}),
-        {'height': 10_000, 'width': 10_000},
-    ],
+    ('name', 'value'),
+    [('encoding', 'yuv422'), ('step', 15), ('height', 7), ('height', 0), ('width', 0)],
 )
-def test_damage_is_named(changes):
+def test_damage_is_named(name, value):
     message = message_of(random_image('mono16'), 'mono16')
-    for name, value in changes.items():
-        setattr(message, name, value)
+    setattr(message, name, value)
     with pytest.raises(ImageConversionError) as caught:
         picture(message)
-    assert all(str(value) in str(caught.value) for value in changes.values())
+    assert str(value) in str(caught.value)

@@ -100,6 +100,8 @@ def test_events_or_frames_are_left_out(tmp_path):
         assert (len(found.events), len(found.frames)) == expected
     assert found.info.contents == (('events', 'events'),)
     assert len(read(write(tmp_path / 'y.aedat', words)).times) == 1
+    with pytest.raises(RecordingError):
+        read(write(tmp_path / 'z.aedat', words[:0]))
 
 
 def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
@@ -119,8 +121,3 @@ def test_the_size_of_an_unknown_chip_is_given(tmp_path):
     assert '--size' in error.value.remedy
     import_recording(path, tmp_path / 'bag', options=TableOptions(size=(346, 260)))
     assert_equal(read(tmp_path / 'bag').events, events)
-
-
-def test_a_file_without_words_is_refused(tmp_path):
-    with pytest.raises(RecordingError):
-        read(write(tmp_path / 'x.aedat', event_words(Events.empty())))

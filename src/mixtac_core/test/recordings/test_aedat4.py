@@ -13,7 +13,6 @@ from recording_samples import START_US, assert_equal, read, some_events
 from mixtac_core.events.readings import EdgeKind
 from mixtac_core.recordings.aedat import write_aedat4
 from mixtac_core.recordings.recording import DamagedRecordingError, RecordingError, RecordingInfo
-from mixtac_core.recordings.summary import summarise
 
 dv = pytest.importorskip('dv_processing', reason='pip install dv-processing')
 EVENTS = some_events(count=3000)
@@ -30,12 +29,12 @@ EDGES = {
 }
 
 
-def write_with_dv(path, compression='LZ4', size=(346, 260)):
+def write_with_dv(path, compression='LZ4'):
     config = dv.io.MonoCameraWriter.Config(
         'DAVIS346_V0000042', getattr(dv.CompressionType, compression)
     )
-    config.addEventStream(size)
-    config.addFrameStream(size)
+    config.addEventStream((346, 260))
+    config.addFrameStream((346, 260))
     config.addImuStream()
     config.addTriggerStream()
     writer = dv.io.MonoCameraWriter(str(path), config)
@@ -98,15 +97,6 @@ def test_streams_and_cameras_are_chosen(file):
     for names in ({'events': 'other'}, {'events': 'none', 'image': 'none', 'imu': 'none'}):
         with pytest.raises(RecordingError):
             read(file, **names)
-
-
-def test_events_outside_of_the_sensor_are_left_out_and_counted(tmp_path):
-    path = write_with_dv(tmp_path / 'small.aedat4', size=(100, 100))
-    inside = EVENTS[(EVENTS.x < 100) & (EVENTS.y < 100)]
-    found = read(path)
-    assert_equal(found.events, inside)
-    assert found.counters.events_outside == len(EVENTS) - len(inside)
-    assert summarise(path).events['events'].lost.events_outside == len(EVENTS) - len(inside)
 
 
 @pytest.mark.parametrize('keep', [0.0, 0.01, 0.9])
