@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 import time
 from collections import deque
@@ -420,7 +419,6 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, OSError):
         device_seed, trial_seed, indenters, preset = pipe.recv()
-        os.nice(AHEAD_NICENESS)
         profile = LiveProfile(indenters)
         sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
         while True:
@@ -430,6 +428,8 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
             for name, settings in calls:
                 getattr(sensor, name)(settings)
             pipe.send(sensor.advance(until_us))
+            # Not before: whoever starts a sensor waits for its first moments, which compile.
+            lower_priority(AHEAD_NICENESS)
 
 
 def make_virtual_sensor(
