@@ -101,7 +101,7 @@ def compare_without_ros(console: Console, model: str, seconds: float) -> None:
     Args:
         console: Where to print.
         model: Weight file or name of a model; empty for the default.
-        seconds: Duration from the first force on [s].
+        seconds: Duration from the first force on [s, clock of the sensor].
     """
     forces = np.array(show_without_ros('virtual:demo', model, seconds))
     estimate, true = forces[np.isfinite(forces).all(axis=1)].T

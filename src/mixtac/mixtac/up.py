@@ -185,7 +185,8 @@ def show_without_ros(source: str, model: str, seconds: float) -> list[tuple[floa
     Args:
         source: As for `Sensor`.
         model: Weight file or name of a model; empty for the default.
-        seconds: Duration from the first force on [s]; 0 runs until interrupted.
+        seconds: Duration from the first force on [s, clock of the sensor]; 0 runs until
+            interrupted.
 
     Returns:
         Estimated and simulated force of a virtual sensor, several times a second [N].
@@ -205,21 +206,22 @@ def show_without_ros(source: str, model: str, seconds: float) -> list[tuple[floa
                 shown['simulated'] = f'{true_n:.3f} N'
             return shown
 
-        values()
-        show(console, time_left(seconds), values)
+        # By the sensor's time: the virtual sensor waits for a busy host.
+        show(console, time_left(seconds, lambda: 1e-6 * sensor.read().stamp_us), values)
     return forces
 
 
-def time_left(seconds: float) -> Callable[[], str]:
+def time_left(seconds: float, now_s: Callable[[], float] = time.monotonic) -> Callable[[], str]:
     """Return a function that returns the remaining time as text, and an empty text at the end.
 
     Args:
         seconds: Duration from now on [s]; 0 runs until interrupted.
+        now_s: Returns the time [s].
     """
-    end_s = time.monotonic() + seconds
+    end_s = now_s() + seconds
 
     def doing() -> str:
-        left_s = end_s - time.monotonic()
+        left_s = end_s - now_s()
         if not seconds:
             return 'press Ctrl-C to stop'
         return f'{left_s:.0f} s left' if left_s > 0.0 else ''

@@ -54,9 +54,9 @@ FULL: Final = 3
 STILL: Final = FULL + 1
 """Level of a pixel without events, or with as many of both polarities. 0 is not used."""
 COLOURS: Final = {
-    1: (230, 120, 20), 2: (189, 101, 22), 3: (148, 82, 24),
+    1: (255, 170, 70), 2: (245, 140, 35), 3: (215, 110, 20),
     STILL: (24, 26, 30),
-    5: (61, 118, 152), 6: (74, 149, 192), 7: (86, 180, 233),
+    5: (70, 150, 205), 6: (90, 185, 240), 7: (150, 220, 255),
 }  # fmt: skip
 """Colour of each level: darker orange, brighter blue, which colour-blind people can distinguish."""
 CONTACT_COLOUR: Final = (240, 228, 66)
@@ -104,7 +104,7 @@ class ViewerServer:
         program = require_rerun()
         port, data_port = free_port(port, 'port'), free_port(data_port, 'data_port')
         self.data_url = f'rerun+http://{HOST}:{data_port}/proxy'
-        self.page_url = f'http://{HOST}:{port}/?url={quote(self.data_url, safe="")}'
+        self.page_url = f'http://{HOST}:{port}/?url={quote(self.data_url, safe="")}&theme=dark'
         self._home = tempfile.TemporaryDirectory(prefix='mixtac-view-')
         # rerun's settings are private, so that the user's own stay as they are.
         folders = {f'XDG_{each}_HOME': f'{self._home.name}/{each}' for each in ('CONFIG', 'DATA')}
@@ -310,7 +310,7 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
     def _on_diagnostics(self, message: Any) -> None:  # noqa: ANN401
         for status in message.status:
             level = _LEVELS[min(status.level[0], 3)]
-            self._nodes[status.name] = f'{level}: {status.message.replace("|", "/")}'
+            self._nodes[status.name] = f'{level}, {status.message}'
 
     def _draw(self) -> None:
         """Draw everything received since the last call.
@@ -356,10 +356,12 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
             **{n: f'{newton(self._latest_n[n])} at {rates[n]:.0f} Hz' for n in LINES},
             'events': f'{rates["events"] / 1000:.1f} k/s, {self._counter.lost} packets lost',
             'frames': f'{rates["frames"]:.1f} /s',
-            **dict(sorted(self._nodes.items())),
         }
         table = '\n'.join(f'| {name} | {text} |' for name, text in rows.items())
-        return f'# {newton(self._latest_n["estimate"])}\n\n| | |\n|---|---|\n{table}'
+        # As paragraphs, which are wrapped; rows of a table are cut off.
+        nodes = '\n\n'.join(f'{name}: {text}' for name, text in sorted(self._nodes.items()))
+        force = newton(self._latest_n['estimate'])
+        return f'# {force}\n\n| | |\n|---|---|\n{table}\n\n{nodes}'
 
     def _status(self) -> Status:
         bad = self._undecodable

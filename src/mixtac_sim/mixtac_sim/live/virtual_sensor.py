@@ -17,7 +17,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import multiprocessing
-import os
 import signal
 import time
 from collections import deque
@@ -423,7 +422,6 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     with contextlib.suppress(EOFError, OSError):
         device_seed, trial_seed, indenters, preset = pipe.recv()
-        os.nice(AHEAD_NICENESS)
         profile = LiveProfile(indenters)
         sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
         while True:
@@ -433,6 +431,8 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
             for name, settings in calls:
                 getattr(sensor, name)(settings)
             pipe.send(sensor.advance(until_us))
+            # Not before: whoever starts a sensor waits for its first moments, which compile.
+            lower_priority(AHEAD_NICENESS)
 
 
 def make_virtual_sensor(
