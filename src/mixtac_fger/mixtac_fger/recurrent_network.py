@@ -188,8 +188,8 @@ class EventGains:
         value: Both gains, float64 [2].
     """
 
-    PRIOR: Final = (0.7, 0.25)
-    """The gains before any frame: their mean on simulated sensors."""
+    PRIOR: Final = (0.85, 0.12)
+    """The gains before any frame, and where frames and events say little."""
     PRIOR_N: Final = 0.22
     """Change of the force whose weight the prior has [N]."""
     KEPT: Final = 0.998
