@@ -48,7 +48,7 @@ def measure(seconds: float) -> dict[str, Any]:
     with ProcessGroup() as group, Monitor(NAMESPACE, group, seconds + 60.0) as monitor:
         start_nodes(group, nodes, NAMESPACE, log_level='warn')
         monitor.listen()
-        monitor.wait_for_force()
+        monitor.wait(lambda: monitor.estimate.received > 0, 'the first force')
         monitor.trigger('virtual_sensor/play')
         processes = {each.name: psutil.Process(group.pid(each.name)) for each in nodes}
         first, began_s = len(monitor.estimate.samples()[1]), time.monotonic()

@@ -126,7 +126,7 @@ def calibrate_force(
         with ProcessGroup() as processes, Monitor(namespace, processes, SESSION_S) as monitor:
             start_nodes(processes, measured_sensor(device, start), namespace, params_file, 'warn')
             monitor.listen(reference)
-            monitor.wait_for_force()
+            monitor.wait(lambda: monitor.estimate.received > 0, 'the first force')
             drives = yes and is_virtual(device)
             procedure = LiveProcedure(console, monitor, yes=yes, drives=drives)
             session = procedure.lead(known, pulls, prompt)

@@ -161,7 +161,7 @@ def _run_graph(
         processes.start('record', record_command(bag, DEFAULT_NAMESPACE))
         start_nodes(processes, nodes)
         monitor.listen()
-        monitor.wait_for_force()
+        monitor.wait(lambda: monitor.estimate.received > 0, 'the first force')
         # The process began as the script that sets everything up.
         first_s = time.time() - psutil.Process().create_time()
         console.print(f'first force after {first_s:.0f} s')

@@ -256,14 +256,19 @@ class LiveProcedure:
         def still(stretch: Stretch) -> Stretch | None:
             return stretch if stretch.sd_n < STILL_N else None
 
+        def tare(stretch: Stretch) -> Stretch | None:
+            if found := still(stretch):
+                # Refused while a host that is too slow has no estimate: tried again.
+                self._monitor.trigger('fger/tare')
+            return found
+
         self._console.print('Take everything off the gel and leave the sensor alone.')
         if not self._yes:
             try:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
                 raise GraphError('no terminal to read Enter from', remedy='give --yes') from error
-        self._wait('still and free', PRESS, still)
-        self._monitor.trigger('fger/tare')
+        self._wait('still and free', PRESS, tare)
         # The estimate starts over: earlier forces belong to another zero.
         self._begin = self._count()
         return self._wait('zero', PRESS, still)
@@ -295,7 +300,7 @@ class LiveProcedure:
 
         Raises:
             ForceCalibrationError: No stretch was accepted in time.
-            GraphError: A node ended, or no force arrives for `PATIENCE_S`.
+            GraphError: A node ended or refuses, or no force arrives for `PATIENCE_S`.
         """
         first = seen = self._count()
         heard_s = time.monotonic()
@@ -317,7 +322,7 @@ class LiveProcedure:
                     try:
                         if (found := find(stretch)) is not None:
                             return found
-                    except ForceCalibrationError as error:
+                    except (ForceCalibrationError, GraphError) as error:
                         refused = error
                 left_s = PATIENCE_S - (t_s[-1] - t_s[0])
                 status.update(f'{what}: {series[-50:].mean():.3f} N, {left_s:3.0f} s left')

@@ -187,10 +187,6 @@ class Monitor(ExitStack):
         if not (reply := future.result()).success:
             raise GraphError(f'{topics.absolute(service, self._namespace)}: {reply.message}')
 
-    def wait_for_force(self) -> None:
-        """Wait, while listening, until the estimator publishes."""
-        self.wait(lambda: self.estimate.received > 0, 'the first force')
-
     def wait(self, done: Callable[[], bool], what: str) -> None:
         """Wait until `done` returns True. A busy computer is slow, so there is no time limit.
 

@@ -299,9 +299,8 @@ def _show(
     """Record until the time is over, a signal comes, or the disk fails; show the progress."""
     began_s = time.monotonic()
     with Live(console=console, auto_refresh=False) as live:
-        while not stopping() and not (listener.writer and listener.writer.failure):
-            elapsed_s = time.monotonic() - began_s
-            if elapsed_s >= seconds:
+        while (elapsed_s := time.monotonic() - began_s) < seconds and not stopping():
+            if listener.writer and listener.writer.failure:
                 break
             listener.spin_for(min(seconds - elapsed_s, REFRESH_S), stopping)
             live.update(_progress(listener, out, elapsed_s), refresh=True)

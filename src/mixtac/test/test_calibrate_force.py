@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 from mixtac import loads as known_loads
 from mixtac.calibrate_force import calibrate_force, parse_loads
 from mixtac.loads import LiveProcedure, estimated
+from mixtac_core.node.process import GraphError
 from mixtac_core.recordings import camera_stream
 from mixtac_core.recordings.dataset import TrialSpec
 from mixtac_fger.config import ModelError
@@ -264,7 +265,7 @@ class Operated:
     """
 
     def __init__(self):
-        self.load = (0.0, 0.0, 0.0)
+        self.load, self.refusals = (0.0, 0.0, 0.0), 0
         self.rows = np.zeros((1, 4))
         self.serial, self.random = 'virtual', np.random.default_rng(1)
         self.processes = SimpleNamespace(check=lambda: None)
@@ -276,7 +277,10 @@ class Operated:
         self.load = (0.0, 0.0, 0.0) if gesture == 'release' else (force, pull, 0.0)
 
     def trigger(self, service):
-        """Nothing changes at a tare."""
+        """Refuse once, as an estimator does that has lost a frame; nothing changes at a tare."""
+        self.refusals += 1
+        if self.refusals == 1:
+            raise GraphError('there are no estimates yet')
 
     def table(self):
         stamps = self.rows[:, 0].astype(np.int64)

@@ -29,7 +29,7 @@ def test_waiting_ends_with_the_processes(ros_domain):
             monitor.trigger('fger/tare')
         monitor.listen()
         with pytest.raises(GraphError):
-            monitor.wait_for_force()
+            monitor.wait(lambda: False, 'a force')
 
 
 def test_a_full_series_counts_on():
