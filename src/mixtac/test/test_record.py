@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PACKETS = 500
-END_S = 60.0
 
 
 def payload(index: int) -> bytes:
@@ -60,21 +59,18 @@ def publish_all(graph, bag: Path) -> None:
     time.sleep(1.0)
 
 
-def command(bag: Path, *options: str) -> list[str]:
-    return [sys.executable, '-m', 'mixtac', 'record', str(bag), *options]
-
-
 @pytest.mark.dds
 def test_rosbags_alone_reads_every_packet_and_its_bytes_are_those_sent(
     node_under_test, ros_domain, tmp_path
 ):
     bag = tmp_path / 'one'
-    words = command(bag, '--namespace', 'here', '--wait', 'inf')
+    words = [sys.executable, '-m', 'mixtac', 'record', str(bag), '--namespace', 'here']
+    words += ['--wait', 'inf']
     with subprocess.Popen(words, env=ros_domain, stdout=subprocess.PIPE, text=True) as process:
         try:
             publish_all(node_under_test, bag)
             process.send_signal(signal.SIGINT)
-            output, _ = process.communicate(timeout=END_S)
+            output, _ = process.communicate(timeout=60.0)
         finally:
             process.kill()
     assert process.returncode == 0, output
