@@ -11,12 +11,15 @@ Inertial samples, which lack their scale, and edges of the external input are sk
 Rows are numbered as jAER numbers them.
 
 AEDAT4 files of one camera are read and written with the optional package dv-processing. Times [us]
-are those of the file. dv-processing does not detect all damage, and may not return from it.
+are those of the file. Another process reads the whole file first, because dv-processing never
+returns from some damaged packets.
 """
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -45,6 +48,20 @@ SIZES: Final = {'davis346': (346, 260), 'davis240': (240, 180), 'sbret': (240, 1
 WORDS: Final = 10_000
 """Words that are read at once."""
 _HEADER_LINE: Final = re.compile(rb'#[^\x00-\x08\x0a-\x0c\x0e-\x1f]*\n')
+PATIENCE_S: Final = 60.0
+"""Longest time to read a file, apart from that for its size [s]."""
+SLOWEST: Final = 2e6
+"""Least speed of reading on a busy machine [bytes/s]."""
+_CHECK: Final = """
+import sys
+from contextlib import suppress
+from dv_processing.io import MonoCameraRecording
+file = MonoCameraRecording(*filter(None, sys.argv[1:3]))
+for name in sys.argv[3:]:
+    with suppress(RuntimeError):
+        while getattr(file, name)() is not None: pass
+"""
+"""Reads all streams of a file; errors are left to the process that reads it next."""
 _EDGES: Final = {
     1: EdgeKind.EXTERNAL_RISING,
     2: EdgeKind.EXTERNAL_FALLING,
@@ -185,6 +202,7 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
     camera = '' if selection.events == NONE else selection.events
     wanted = {'event': selection.events, 'frame': selection.image, 'imu': selection.imu}
     streams: Streams = {}
+    _check(path, camera)
     with _refusing_damage(path):
         file = _open(path, camera)
         for kind, (table, following, convert) in _STREAMS.items():
@@ -201,6 +219,24 @@ def open_aedat4(path: Path, selection: Selection) -> FileRecording:
 
 def _open(path: Path, camera: str) -> Any:  # noqa: ANN401
     return _dv().io.MonoCameraRecording(*filter(None, (str(path), camera)))
+
+
+def _check(path: Path, camera: str) -> None:
+    """Check that dv-processing returns from all packets of a file.
+
+    Raises:
+        DamagedRecordingError: It does not, or crashes.
+    """
+    following = [name for _, name, _ in _STREAMS.values()]
+    command = [sys.executable, '-c', _CHECK, str(path), camera, *following]
+    limit_s = PATIENCE_S + path.stat().st_size / SLOWEST
+    with _refusing_damage(path):
+        try:
+            done = subprocess.run(command, check=False, capture_output=True, timeout=limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise RuntimeError('dv-processing never returns') from error
+        if done.returncode < 0:
+            raise RuntimeError('dv-processing crashes')
 
 
 def _rows(

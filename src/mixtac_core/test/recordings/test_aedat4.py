@@ -110,6 +110,20 @@ def test_a_file_that_was_cut_off_gives_one_line_with_its_name(file, tmp_path, ke
     assert '\n' not in str(error.value)
 
 
+def test_damage_ends_in_one_line_or_is_harmless(file, tmp_path, monkeypatch):
+    # From this damage dv-processing never returns.
+    monkeypatch.setattr('mixtac_core.recordings.aedat.PATIENCE_S', 2.0)
+    data, rng = bytearray(file.read_bytes()), np.random.default_rng(0)
+    at = int(rng.integers(3000, len(data) // 2))
+    data[at : at + 7] = rng.bytes(7)
+    path = tmp_path / 'x.aedat4'
+    path.write_bytes(data)
+    try:
+        read(path)
+    except RecordingError as error:
+        assert str(path) in str(error)  # noqa: PT017  (it may be harmless)
+
+
 def test_without_dv_processing_the_package_is_named(file, monkeypatch):
     monkeypatch.setitem(sys.modules, 'dv_processing', None)
     with pytest.raises(RecordingError) as error:
