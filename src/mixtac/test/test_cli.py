@@ -57,11 +57,24 @@ def test_the_version_is_printed(capsys):
 
 @pytest.mark.parametrize('delay_s', [0.0, 0.3, 1.0])
 def test_ctrl_c_while_a_command_starts_ends_it_with_one_line(ros_domain, tmp_path, delay_s):
-    words = [sys.executable, '-m', 'mixtac', 'doctor', '--device', 'virtual']
+    # The tests themselves may run where it is ignored.
+    words = [
+        'env',
+        '--default-signal=INT',
+        '--block-signal=INT',
+        sys.executable,
+        '-m',
+        'mixtac',
+        'doctor',
+    ]
     # ./mixtac blocks it as well, until the command handles it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     with subprocess.Popen(
-        words, env=ros_domain, cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [*words, '--device', 'virtual'],
+        env=ros_domain,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         time.sleep(delay_s)
