@@ -127,6 +127,8 @@ def prepare(
     Raises:
         DatasetError: No trial can be used.
     """
+    # joblib keeps its processes, with the working folder in which they were started.
+    folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     paths, skipped = {}, {}
     calls = [joblib.delayed(_prepare_one)(source, recipes, folder) for source in sources]
