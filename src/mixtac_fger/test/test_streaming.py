@@ -6,13 +6,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mixtac_core.events.arrays import Events
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.reference import REST_FRAMES, TareError
-from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.streaming import (
+    BACKWARD_US,
+    JUMP_US,
+    LONG_HOLE_US,
+    Arrival,
+    ForceEstimator,
+    StreamTime,
+)
 from mixtac_fger.validity import Reason
 
 
@@ -281,3 +290,37 @@ def test_a_contact_that_cannot_be_found_costs_no_frame(model, trial, monkeypatch
     estimator.push_events(Events.empty(), 200_000)
     assert estimator.push_events(Events.empty(), 204_000)
     assert estimator.contact.touch is None
+
+
+@pytest.mark.parametrize(
+    ('step_us', 'lost', 'expected'),
+    [
+        (1000, False, Arrival.CONTINUES),
+        (1000, True, Arrival.AFTER_HOLE),
+        (0, True, Arrival.CONTINUES),
+        (LONG_HOLE_US, True, Arrival.AFTER_HOLE),
+        (LONG_HOLE_US + 1, True, Arrival.STARTS),
+        (JUMP_US, False, Arrival.CONTINUES),
+        (JUMP_US + 1, False, Arrival.STARTS),
+        (-BACKWARD_US - 2000, False, Arrival.STARTS),
+    ],
+)
+def test_a_packet_continues_a_stream_or_starts_one(step_us, lost, expected):
+    time = StreamTime()
+    assert time.push(5_000_000, 5_001_000, lost_before=False) is Arrival.STARTS
+    first = 5_001_000 + step_us
+    assert time.push(first, first + 1000, lost_before=lost) is expected
+    assert time.newest_us == max(first + 1000, 5_001_000 if step_us >= 0 else 0)
+    assert time.restarts == (step_us < -BACKWARD_US)
+
+
+@given(st.integers(0, 20), st.integers(1, 20))
+def test_a_window_is_covered_as_far_as_no_hole_is_in_it(before, hole):
+    time = StreamTime()
+    time.push(0, 10_000 + 1000 * before, lost_before=False)
+    begin = 10_000 + 1000 * before
+    end = begin + 1000 * hole
+    time.push(end, end + 100_000, lost_before=True)
+    for window_end in range(12_000, end + 50_000, 2000):
+        missing = sum(begin <= t < end for t in range(window_end - 2000, window_end))
+        assert time.covered(window_end, 2000) == (missing < 2000, missing == 0)

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.packets import JUMP_US
 from mixtac_core.events.readings import Frame
 from mixtac_core.node.topics import REFERENCE, stamp_to_ns
 from mixtac_core.recordings.bag import BagFile, custom_data, find_bags, fit_path
@@ -28,6 +27,7 @@ from mixtac_core.recordings.dataset import described_trial, folder_facts
 from mixtac_core.recordings.recording import NONE, DamagedRecordingError, Selection
 from mixtac_fger.alignment.bags import read_fit, stuck
 from mixtac_fger.alignment.clock_fit import ClockFit
+from mixtac_fger.streaming import JUMP_US
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, SimulatedSource, TrialArrays
 
 
