@@ -45,7 +45,7 @@ def head(model):
 def bag(tmp_path_factory):
     """Return a simulated recording of three weights, with a reference sensor.
 
-    Its forces are estimated once; those of a calibrated model are in proportion (`test_shear`).
+    Its forces are estimated once. A calibrated model multiplies them by its gain (`test_shear`).
     """
     folder, known = tmp_path_factory.mktemp('bags'), {}
     spec = TrialSpec('weights', 'weights', 17.0, DEVICE, 7, 'easy', 'train')

@@ -299,7 +299,7 @@ def operations_per_cycle(config: FgerConfig) -> int:
         size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))
     )
     if config.reads_flow:
-        # Of the event flow: the normal force, and with `shear` three more.
+        # The event flow changes the normal force, and with `shear` three more values.
         per_cell = 2 * (4 if config.shear else 1) * config.grid_rows * config.grid_columns
         total += MOMENTS * per_cell
         per_window += per_cell

@@ -14,8 +14,8 @@ over the next :math:`N` windows, by an equal share in each:
 .. math:: f_t = F_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
 
 where the pending part p grows by c and n starts over when a frame corrects. The standard deviation
-of the output is that of a frame, a floor b and a share s of the force, with a share h of what
-events have added since, and the pending part:
+of the output has four parts: a floor b, a share s of the force, a share h of what events have added
+since the latest frame, and the pending part:
 
 .. math:: \sigma^2 = b^2 + (s f)^2 + h^2 (g_A A + g_B B)^2 + p^2
 
@@ -197,8 +197,8 @@ class FgerEstimator(Estimator):
         self.config = config = checked_config(model)
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
         self.force_unit = config.force_unit
-        self._deviation = np.array(model.tensors['deviation'], np.float64)
-        self.gives_deviation = bool(self._deviation.any())
+        self._deviation = model.tensors['deviation'].tolist()
+        self.gives_deviation = any(self._deviation)
         self.parameters, self.operations = count_parameters(config), operations_per_cycle(config)
         self.reference = Reference(config)
         self._weights = frame_weights(model.tensors, config)
@@ -307,11 +307,12 @@ class FgerEstimator(Estimator):
         if self._pending_n:
             self._pending_n -= self._pending_n / self._pending_windows
             self._pending_windows -= 1
-        force = self.path.force - self._pending_n
+        moved = self.path.moved
+        force = self.path.shown + moved - self._pending_n
         if not self.gives_deviation:
             return force, None
-        floor, share, drift = self._deviation.tolist()
-        return force, math.hypot(floor, share * force, drift * self.path.moved, self._pending_n)
+        floor, share, drift = self._deviation
+        return force, math.hypot(floor, share * force, drift * moved, self._pending_n)
 
     def clear(self) -> None:
         """Forget the recurrent state."""

@@ -236,14 +236,15 @@ SETTLE_WINDOWS = 100
 
 
 class RecurrentPath:
-    """The force: that of the latest frame, and what events have added since its exposure.
+    """The force of the latest frame, plus what events have added since its exposure.
 
     Args:
         config: Network configuration.
         tensors: Of its weight file; copied.
 
     Attributes:
-        gains: Of the events of this sensor.
+        gains: How much force the events of this sensor stand for.
+        shown: Force of the latest frame [N].
     """
 
     def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
@@ -254,7 +255,7 @@ class RecurrentPath:
         # Of A and B of `EventGains`, after each window.
         self._sums = np.zeros((config.history_windows, 2))
         self._newest = 0
-        self._shown, self._then = 0.0, np.zeros(2)
+        self.shown, self._then = 0.0, np.zeros(2)
         self.gains = EventGains(self._unit)
         still = np.zeros((*config.grid_shape, 2))
         self.see(np.zeros(config.feature_size, np.float32), still)
@@ -262,7 +263,7 @@ class RecurrentPath:
     @property
     def force(self) -> float:
         """Present estimate [N]."""
-        return self._shown + self.moved
+        return self.shown + self.moved
 
     @property
     def moved(self) -> float:
@@ -280,7 +281,7 @@ class RecurrentPath:
             part[:] = 0.0
         self._state.context[:] = kept
         self.gains.forget_frame()
-        self._sums[:] = self._then[:] = self._shown = 0.0
+        self._sums[:] = self._then[:] = self.shown = 0.0
 
     def see(self, frame_feature: F32, press: F64) -> None:
         """Relate motion and force by the latest frame from now on.
@@ -302,7 +303,7 @@ class RecurrentPath:
         With an empty memory, which fits no force, the next increments would be wrong.
         """
         self.clear()
-        self._shown = force
+        self.shown = force
         still = np.zeros(self._event_shape, np.float32)
         for _ in range(SETTLE_WINDOWS):
             self._state.force[0] = force
@@ -316,7 +317,7 @@ class RecurrentPath:
             lag: Windows between the last estimate and the centre of its exposure.
         """
         before = self.force
-        self._shown, self._then = force, self._sums[self._back(lag)].copy()
+        self.shown, self._then = force, self._sums[self._back(lag)].copy()
         self.gains.frame(force, self._then)
         return self.force - before
 
@@ -343,7 +344,7 @@ class RecurrentPath:
             features: Grid features, float32 [grid rows, grid columns, 4].
         """
         # The network has learned with its own increments.
-        self._state.force[0] = self._shown + self._sums[self._newest, 0] - self._then[0]
+        self._state.force[0] = self.shown + self._sums[self._newest, 0] - self._then[0]
         added = advance(features, self._weights, self._state), along_flow(features, self._press)
         before, self._newest = self._sums[self._newest], (self._newest + 1) % len(self._sums)
         self._sums[self._newest] = before + added

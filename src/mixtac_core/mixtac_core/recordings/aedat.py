@@ -142,10 +142,10 @@ def _word_events(
 def _word_frames(
     path: Path, start: int, size: tuple[int, int], counters: ReadCounters
 ) -> Iterator[Rows]:
-    """Yield the frames of which both reads of all pixels came; any corner may be read first.
+    """Yield the frames that are complete: both reads of every pixel. Any corner may come first.
 
-    Exposures are those of a global shutter: from the last reset read to the first signal read. Of a
-    rolling shutter, the middle is that of the mean exposure of the pixels.
+    Exposures last from the last reset read to the first signal read, as with a global shutter. With
+    a rolling shutter only their middle is right: it is the middle of the pixels' mean exposure.
     """
     width, height = size
     samples = np.full((2, height, width), -1, np.int16)

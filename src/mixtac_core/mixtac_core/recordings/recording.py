@@ -193,7 +193,7 @@ class ReadCounters:
         events_outside: Events left out because they lie outside the sensor.
         events_unsorted: Events that were older than the one before in their message; sorted.
         frames_without_time: Frames left out because their stamp is zero.
-        frames_incomplete: Frames in AEDAT 2 of which pixels are missing; left out.
+        frames_incomplete: Frames in AEDAT 2 with missing pixels, which are left out.
         other_words: Words of inertial samples and edges in AEDAT 2.
     """
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import datetime as dt
 import functools
 import hashlib
-import inspect
 import math
 import os
 import pkgutil
@@ -288,9 +287,13 @@ def write_report(
 
 def described(name: str) -> dict[str, Any]:
     """Return what the docstring of an experiment says: title, the paper, and each difference."""
-    text = inspect.cleandoc(str(select([name])[name].__doc__))
-    title, paper, *differences = (' '.join(each.split()) for each in text.split('\n\n'))
+    title, paper, *differences = _paragraphs(select([name])[name])
     return {'name': name, 'title': title, 'paper': paper, 'deviations': differences}
+
+
+def _paragraphs(function: Callable[[Context], Outcome]) -> list[str]:
+    """Return the paragraphs of a docstring, each without ends of lines."""
+    return [' '.join(part.split()) for part in str(function.__doc__).split('\n\n')]
 
 
 def number(value: float) -> str:
@@ -424,8 +427,7 @@ all_experiments = command(ALL, 'Run all experiments of the paper.')
 def experiment(function: Callable[[Context], Outcome]) -> Callable[..., dict[str, Outcome]]:
     """Make a function `Context -> Outcome` a command; its docstring is the help."""
     # Typer would keep the ends of lines.
-    paragraphs = (' '.join(part.split()) for part in str(function.__doc__).split('\n\n'))
-    made = command(function.__name__, '\n\n'.join(paragraphs))
+    made = command(function.__name__, '\n\n'.join(_paragraphs(function)))
     made.run = function  # type: ignore[attr-defined]
     return made
 
