@@ -188,9 +188,9 @@ class EventGains:
         value: Both gains, float64 [2].
     """
 
-    PRIOR: Final = (0.85, 0.12)
+    PRIOR: Final = (0.8, 0.15)
     """The gains before any frame, and where frames and events say little."""
-    PRIOR_N: Final = 0.22
+    PRIOR_N: Final = 0.3
     """Change of the force whose weight the prior has [N]."""
     KEPT: Final = 0.998
     """Share of the sums that is kept from frame to frame."""

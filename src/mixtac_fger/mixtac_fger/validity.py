@@ -14,7 +14,7 @@ sensor, so that its brightness, its contrast and its rates have no effect.
 
 The noise of a tile is the lower envelope of its mean squares. The mean square of 120 bins of white
 noise has a standard deviation of 13 %. The envelope lies two standard deviations below the mean and
-`SIGNAL` four above it, which one tile in 30,000 exceeds by chance. A fault is reported for four
+`SIGNAL` four above it, which one tile in 30,000 exceeds by chance. A fault is reported for six
 tiles of one frame, or for three frames of five, so that noise alone causes less than one report in
 ten hours.
 """
@@ -76,8 +76,8 @@ TILE_ROWS = 6
 """Rows of tiles of a picture; a tile shows about eight beads."""
 TILE_COLUMNS = 8
 """Columns of tiles of a picture."""
-SPARE_TILES = 3
-"""Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
+SPARE_TILES = 5
+"""Tiles that may be unlike the reference: those below a sharp or heavy contact, and a defect."""
 PATTERN_SHARE = 0.2
 """Largest residual of a tile like the reference, over the variance of its pattern: a correlation
 of 0.9."""
