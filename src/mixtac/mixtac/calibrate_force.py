@@ -39,6 +39,7 @@ from mixtac_fger.force_calibration import (
     load_of,
     sideways_gain,
 )
+from mixtac_fger.streaming import STALE_FRAME_US
 from mixtac_fger.weights import (
     DEFAULT_MODEL,
     SUFFIX,
@@ -156,15 +157,15 @@ def measured_sensor(device: str, model: Path) -> list[NodeSpec]:
     """Return the nodes of a sensor whose model is measured, whatever a parameter file sets.
 
     The prompts ask for an untouched sensor. Forces that are not valid count, as in a recording:
-    loads reveal wrong ones.
+    loads reveal wrong ones. Those without a recent frame do not: events alone drift.
 
     Args:
         device: As for `mixtac up`.
         model: Weight file of the estimator.
     """
     estimator: dict[str, object] = {'model': str(model.resolve()), 'assume_free': True}
-    estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0}
-    estimator |= {'invalid_force': 'publish', 'tare_on_release': False}
+    estimator |= {'force_scale': 1.0, 'sideways_scale': 1.0, 'tare_on_release': False}
+    estimator |= {'invalid_force': 'publish', 'longest_without_frame': 1e-6 * STALE_FRAME_US}
     return sensor_graph(device, estimator=estimator)
 
 

@@ -245,7 +245,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         except CodecError as error:
             feed.refuse(str(error))
             return
-        estimates = feed.packet(packet)
+        estimates = feed.packet(packet, time.time_ns() - packet.stamp_ns)
         if not estimates:
             return
         for estimate in estimates:

@@ -79,8 +79,15 @@ class LiveFeed:
         self._rate = RateMeter()
         self._ages = RecentValues()
 
-    def packet(self, message: PacketMessage) -> list[Estimate]:
-        """Return the forces of the windows that an event packet closes."""
+    def packet(self, message: PacketMessage, age_ns: int = 0) -> list[Estimate]:
+        """Return the forces of the windows that an event packet closes.
+
+        Args:
+            message: The packet.
+            age_ns: Time since it arrived at the host [ns].
+        """
+        comparable = 0 <= age_ns < COMPARABLE_NS
+        self.estimator.events_late_us = age_ns // 1000 if comparable else 0
         repeated = self._sequence.repeated
         self._sequence.update(message.seq)
         if self._sequence.repeated > repeated:

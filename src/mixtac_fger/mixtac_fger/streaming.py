@@ -120,12 +120,14 @@ class StreamTime:
 
 TARE_WINDOWS = 100
 """Number of latest estimates that must be near zero before a tare is allowed."""
-WAITING_FRAMES = 4
-"""Encoded frames that wait for the next window; beyond that the oldest are dropped."""
+WAITING_FRAMES = 64
+"""Encoded frames that wait for their events; beyond that the oldest are dropped. On a busy host
+events are late by up to two seconds, for which the middleware keeps them."""
 SATURATION_PER_US = 10
 """Event rate beyond which the sensor's readout loses some [1/us]: 10 million per second."""
 FRAME_AHEAD_US = 100_000
-"""Frames exposed later than the events by more than this are on another clock [us]."""
+"""Frames exposed later than the events by more than this, and by more than `events_late_us`, are on
+another clock [us]."""
 FRAME_BEHIND_US = 1_000_000
 """Frames exposed earlier than the events by more than this are too old or on another clock [us]."""
 LATE_FRAME_US = 70_000
@@ -179,6 +181,7 @@ class ForceEstimator:
         longest_without_frame_us: Age of the latest frame beyond which there is no force [us].
         stale_frame_us: Age of the latest frame beyond which the force is not valid [us].
         tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
+        events_late_us: Time that the events have waited for a busy host, which frames do not [us].
     """
 
     def __init__(
@@ -200,6 +203,7 @@ class ForceEstimator:
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
+        self.events_late_us = 0
         self._estimator, reference = estimator, estimator.reference
         self.contact: ContactTracker | None = None
         self.use_contact(contact)
@@ -282,8 +286,11 @@ class ForceEstimator:
         arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
         if arrival is Arrival.STARTS and known:
             self._fetch()
+            waiting = list(self._encoded)
             self._forget()
             if self._time.restarts == restarts:
+                # Frames that wait may lie beyond the hole.
+                self._encoded.extend(waiting)
                 self._validity.skip()
             else:
                 self._validity.clear()
@@ -447,7 +454,8 @@ class ForceEstimator:
 
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
-        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= FRAME_AHEAD_US:
+        ahead_us = FRAME_AHEAD_US + self.events_late_us
+        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= ahead_us:
             # Its events are there, or never will be.
             self._apply(self._encoded.popleft(), end_us)
 
@@ -470,7 +478,7 @@ class ForceEstimator:
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
         behind_us = end_us - frame.mid_us
-        if not -FRAME_AHEAD_US <= behind_us <= FRAME_BEHIND_US:
+        if not -FRAME_AHEAD_US - self.events_late_us <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
         reference = self.reference

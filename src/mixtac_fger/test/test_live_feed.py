@@ -61,7 +61,7 @@ def message(sequence, encoding, time_base, payload, size=SIZE) -> SimpleNamespac
     )
 
 
-def packet(feed: LiveFeed, sequence: int, until_us: int) -> list[tuple[int, float]]:
+def packet(feed: LiveFeed, sequence: int, until_us: int, age_ns: int = 0) -> list:
     events = Events(
         np.arange(until_us - 900, until_us, 100, dtype=np.int64),
         np.full(9, 5, np.uint16),
@@ -69,7 +69,8 @@ def packet(feed: LiveFeed, sequence: int, until_us: int) -> list[tuple[int, floa
         np.ones(9, np.bool_),
     )
     encoded = encode(events, complete_until=until_us)
-    return feed.packet(message(sequence, encoded.encoding, encoded.time_base, encoded.payload))
+    fields = message(sequence, encoded.encoding, encoded.time_base, encoded.payload)
+    return feed.packet(fields, age_ns)
 
 
 def test_packets_become_forces_and_losses_are_counted(feed):
@@ -103,6 +104,17 @@ def test_a_packet_that_could_not_be_read_leaves_a_hole(feed):
     # Nothing reports 302 to 307.1 ms.
     assert [(estimate.end_us, estimate.complete) for estimate in found] == [(308_000, False)]
     assert feed.status().estimator.withheld == 2
+
+
+@pytest.mark.parametrize(('age_s', 'refused'), [(0.0, 1), (2.0, 0), (-1.0, 1), (1e6, 1)])
+def test_a_frame_may_be_ahead_of_events_by_their_age_where_clocks_compare(
+    feed, trial, age_s, refused
+):
+    packet(feed, 1, 200_000)
+    feed.image(picture(array('B', trial.frames[0].tobytes()), 'mono16', SIZE, 692), 2_000_000)
+    feed.estimator.drain()
+    packet(feed, 2, 202_000, age_ns=round(1e9 * age_s))
+    assert feed.status().estimator.frames_off_clock == refused
 
 
 def test_late_forces_are_counted_where_clocks_compare(model):

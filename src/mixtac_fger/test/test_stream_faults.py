@@ -13,7 +13,7 @@ from mixtac_core.events.arrays import Events
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
+from mixtac_fger.streaming import SATURATION_PER_US, UNFETCHED_FRAMES, ForceEstimator
 
 if TYPE_CHECKING:
     from mixtac_fger.weights import Model
@@ -167,6 +167,30 @@ def test_a_frame_that_comes_before_its_events_waits_for_them(model, trial):
     assert early.status().frames == later.status().frames == 2
 
 
+def test_frames_wait_for_events_that_a_busy_host_delays(model, trial):
+    late, prompt = ready(model, trial), ready(model, trial)
+    late.events_late_us = 1_000_000
+    times = range(START_US + FRAME_US, START_US + 21 * FRAME_US, FRAME_US)
+    for index, time_us in enumerate(times):
+        late.push_frame(trial.frames[index], time_us)
+    expected = run(prompt, START_US, times[0] - 2000)
+    for index, time_us in enumerate(times):
+        prompt.push_frame(trial.frames[index], time_us)
+        expected += run(prompt, time_us - 2000, time_us + FRAME_US - 2000)
+    assert run(late, START_US, times[-1] + FRAME_US - 2000) == expected
+    assert late.status().frames == prompt.status().frames == 1 + len(times)
+
+
+def test_a_frame_beyond_a_hole_brings_the_force_back_although_it_came_before(model, trial):
+    estimator = ready(model, trial)
+    estimator.events_late_us = 1_000_000
+    for index in range(10):
+        estimator.push_frame(trial.frames[0], START_US + index * FRAME_US)
+    run(estimator, START_US, START_US + 50_000)
+    found = run(estimator, START_US + 220_000, START_US + 250_000, lost_before=True)
+    assert ends(found) == list(range(START_US + 240_000, START_US + 250_001, 2000))
+
+
 def test_saturated_windows_are_marked_and_finite(model, trial):
     estimator = ready(model, trial)
     count = SATURATION_PER_US * 2000 + 1
@@ -215,7 +239,7 @@ def test_frames_that_nobody_fetches_do_not_pile_up():
         estimator.push_events(Events.empty(), 40_000)
         status = estimator.status()
         assert status.frames + status.frames_dropped == 30
-        assert 1 <= status.frames <= 4
+        assert 1 <= status.frames <= UNFETCHED_FRAMES
     finally:
         estimator.close()
 
