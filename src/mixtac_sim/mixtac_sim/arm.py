@@ -10,8 +10,7 @@ The controller is a joint_trajectory_controller of ros2_control, written from th
 ros2_controllers' source and its issues 697, 780 and 1306 (Jazzy and later): a message takes effect
 at the next cycle and replaces the one before; before its first point the motion goes from the last
 command; quintics join the points, which give position, velocity and acceleration; after the last
-point that point is held. The command is computed for one period ahead. Each joint follows its
-command with a lag.
+point that point is held. Each joint follows its command with a lag.
 """
 
 from __future__ import annotations
@@ -129,6 +128,9 @@ def warm_up() -> None:
 
 CYCLE_S = 1e-3
 """Period of the controller and of its commands [s]."""
+RULES = {'4.0': (0.0, CYCLE_S), '4.17': (CYCLE_S, CYCLE_S), '4.21': (CYCLE_S, 0.0)}
+"""Times that a controller adds to that of its cycle, by the first version of ros2_controllers: for
+which it computes the command, and which it counts as the command's own time [s]."""
 START_EPSILON_S = 1e-12
 """Time by which a trajectory may be asked for before its start [s]: rounding."""
 
@@ -157,9 +159,14 @@ class JointTrajectoryController:
 
     New trajectories start from the last command (``interpolate_from_desired_state``), and those
     that end in motion are rejected.
+
+    Args:
+        rule: First version of ros2_controllers that times commands like it. The last one holds for
+            today's Jazzy, Kilted and Lyrical, without ``allow_trajectory_replacement``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rule: str = '4.21') -> None:
+        self._ahead_s, self._counted_s = RULES[rule]
         self.reset(READY, 0.0)
 
     def reset(self, q: Floats, now_s: float) -> None:
@@ -212,8 +219,8 @@ class JointTrajectoryController:
         return self._first_cycle_s + self._cycles * CYCLE_S
 
     def _cycle(self, now_s: float) -> None:
-        """Run one control cycle, whose command is that of the next cycle."""
-        t_s = now_s + CYCLE_S
+        """Run one control cycle."""
+        t_s = now_s + self._ahead_s
         if self._pending is not None:
             new = self._pending
             start_s = new.stamp_s if new.stamp_s != 0.0 else now_s
@@ -232,7 +239,7 @@ class JointTrajectoryController:
             span_s, since_s = times[k + 1] - times[k], t_s - times[k]
             self._command = interpolate(states[k], states[k + 1], span_s, since_s)
         # Since its activation it holds a position, which is a trajectory like any other.
-        self._command_s = t_s
+        self._command_s = now_s + self._counted_s
 
     def _reason_against(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Return why the controller would reject a message."""

@@ -39,6 +39,8 @@ PRECISE: Final = 0.1
 """Relative standard deviation of the stiffness from which it counts as measured."""
 LARGEST_RATIO: Final = 20.0
 """Largest ratio of two forces for which a contact stiffens."""
+LEAST_RISE: Final = 1.05
+"""Least ratio of the usable force to that of the grasp: with less room, no slip could be held."""
 DRIFT: Final = 2e-6
 """Variance by which the force at advance zero may change from one force to the next [N^2], as the
 gel relaxes and as the sensor corrects the force of a fast press."""
@@ -262,11 +264,11 @@ class AdvanceLaw:
         p = self._parameters()
         self.contact.restart(advance)
         force = self.contact.force
-        if force >= p.usable_force:
+        if LEAST_RISE * force > p.usable_force:
             raise SlipControlError(
                 f'the force is {force:.2f} N already, and slip control may use '
                 f'{p.usable_force:.2f} N (force_share {p.force_share:g} of max_force '
-                f'{p.max_force:g} N)',
+                f'{p.max_force:g} N): too little more to hold a slip',
                 remedy='grasp less firmly, or raise max_force or force_share',
             )
         self.total = self.limit = 0.0

@@ -27,7 +27,8 @@ WINDOW_S: Final = 1e-6 * WINDOW_US
 """Counting window of the events [s]."""
 SLIP_RATIO: Final = 1.2
 """Least ratio of the force that answers a slip to the force of the grasp: the gain of the sensor
-cancels in it. A sensor that reads 25 % low then still keeps 1.5 N in a grasp of 1.25 N."""
+cancels in it. A sensor that reads 25 % low then still keeps 1.5 N in a grasp of 1.25 N, but for the
+overshoot of the press: a few percent in simulation."""
 CONTROLLER_PERIOD_S: Final = 1e-3
 """Longest period of the arm's controller that is supported [s]."""
 

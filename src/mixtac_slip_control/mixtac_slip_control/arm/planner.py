@@ -304,7 +304,8 @@ class AdvancePlanner:
 
     def advance_at(self, t_s: float) -> float:
         """Return the advance [m] that is commanded at a time [s]."""
-        return self._state(round(t_s * 1e9)).s
+        last, t_ns = self._knots[-1], round(t_s * 1e9)
+        return last.s if t_ns >= last.t_ns else self._state(t_ns).s
 
     def moving(self, now_s: float) -> bool:
         """Return whether the arm is commanded to move, now or later [s]."""
