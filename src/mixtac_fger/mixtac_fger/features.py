@@ -237,7 +237,7 @@ class FramePreparation:
         config: Network configuration.
 
     Attributes:
-        grown: The reference of the latest `network_input`, with that growth.
+        grown: The reference that the latest frame was compared with, grown as the gel.
     """
 
     def __init__(self, config: FgerConfig) -> None:
