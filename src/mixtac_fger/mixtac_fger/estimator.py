@@ -135,6 +135,11 @@ class Estimator(ABC):
         return None
 
     @property
+    def growth(self) -> float:
+        """Growth of the gel since the reference, as a part of its length; 0 if it is unknown."""
+        return 0.0
+
+    @property
     def flow(self) -> NDArray[np.float32]:
         """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
         return np.zeros((1, 1, 2), np.float32)
@@ -238,6 +243,7 @@ class EstimatorStatus:
         reason: Why windows give no forces; empty if they do.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
         zero_drift: Force that frames show while nothing touches the sensor [N].
+        gel_growth: Growth of the gel since the reference, as a part of its length; it is corrected.
     """
 
     withheld: int = 0
@@ -252,6 +258,7 @@ class EstimatorStatus:
     reason: str = ''
     validity: str = Reason.TRUSTED.name
     zero_drift: float = 0.0
+    gel_growth: float = 0.0
 
 
 SERIAL_KEY = 'sensor_serial'

@@ -16,6 +16,7 @@ from mixtac_core.events.arrays import Events
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
+from mixtac_fger.displacement import Growth
 from mixtac_fger.shear import moments
 from mixtac_fger.validity import PictureFigures, picture_figures
 
@@ -230,10 +231,13 @@ def light_basis(shape: Sequence[int]) -> F32:
 class FramePreparation:
     """Turns camera frames into log contrast, event guides and network inputs.
 
-    Holds scratch memory: use one instance per thread.
+    Holds scratch memory and the growth of the gel: use one instance per thread and sensor.
 
     Args:
         config: Network configuration.
+
+    Attributes:
+        grown: The reference that the latest frame was compared with, grown as the gel.
     """
 
     def __init__(self, config: FgerConfig) -> None:
@@ -243,8 +247,10 @@ class FramePreparation:
         self._work = np.empty((9, *config.frame_shape), np.float32)
         self._flow = np.empty((2, *config.frame_shape), np.float32)
         self._even = np.empty(config.frame_shape, np.float32)
+        self._moments = np.empty(MOMENTS, np.float32)
+        self.grown = self._reference = np.empty(0, np.float32)
+        self._growth = Growth(config.frame_shape)
         self._light = light_basis(config.frame_shape)
-        self._reads_flow = bool({'flow_x', 'flow_y'} & set(config.frame_channels))
         self._cells = bin_cells(config.gradient_shape, config.grid_shape)
 
     def contrast(self, image: NDArray[np.uint16] | NDArray[np.uint8]) -> Contrast:
@@ -284,18 +290,24 @@ class FramePreparation:
         """Return the frame network's input, float32 [channels, rows, columns].
 
         The part that a smooth change of light since the reference explains is first removed from
-        the frame.
+        the frame, and the reference grows as the gel did up to the frame before. Frames must be in
+        order of time; another reference starts anew.
 
         Args:
             contrast: The frame.
             reference: Coarse log contrast without contact.
         """
         config = self._config
+        if reference is not self._reference:
+            self._reference, self._growth = reference, Growth(config.frame_shape)
+        self.grown = reference = self._growth.grown(reference)
         change = (contrast.coarse - reference).ravel()
         light = self._light @ (self._light.T @ change)
         np.subtract(contrast.coarse, light.reshape(reference.shape), out=self._even)
-        if self._reads_flow:
-            self._displace(reference)
+        radius, ridge = config.flow_radius, config.flow_regularisation
+        displacement(reference, self._even, radius, ridge, self._work, self._flow)
+        moments(self._flow, self._moments)
+        self._growth.follow(self._flow, float(self._moments[0]))
         channels = {
             'frame': self._even,
             'difference': self._even - reference,
@@ -304,25 +316,21 @@ class FramePreparation:
         }
         return np.stack([channels[name] for name in config.frame_channels])
 
-    def picture(self, reference: F32) -> PictureFigures:
+    def picture(self) -> PictureFigures:
         """Return the comparison of the frame of the latest `network_input` with the reference."""
-        if not self._reads_flow:
-            self._displace(reference)
-        return picture_figures(reference, self._even, self._flow)
+        return picture_figures(self.grown, self._even, self._flow)
 
     def moments(self) -> F32:
         """Return the moments of the displacement of the latest `network_input`, float32 [9].
 
         Empty where the frame network is not given the displacement.
         """
-        out = np.empty(MOMENTS if self._config.reads_flow else 0, np.float32)
-        if len(out):
-            moments(self._flow, out)
-        return out
+        return self._moments[: MOMENTS if self._config.reads_flow else 0].copy()
 
-    def _displace(self, reference: F32) -> None:
-        radius, ridge = self._config.flow_radius, self._config.flow_regularisation
-        displacement(reference, self._even, radius, ridge, self._work, self._flow)
+    @property
+    def growth(self) -> float:
+        """Growth of the gel since the reference, as a part of its length."""
+        return self._growth.value
 
 
 def mean_contrast(parts: Iterable[F32]) -> F32:

@@ -222,6 +222,11 @@ class FgerEstimator(Estimator):
         """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
         return self._features[..., :2]
 
+    @property
+    def growth(self) -> float:
+        """Growth of the gel since the reference, as a part of its length."""
+        return self._preparation.growth
+
     def find_contacts(self, scale: SkinScale | None) -> None:
         """Measure displacement and contact of frames from now on; None ends it."""
         self._touch = None if scale is None else TouchMeter(self.config, scale)
@@ -244,7 +249,7 @@ class FgerEstimator(Estimator):
                 return None
             reference, number = found
             inputs = self._preparation.network_input(contrast, reference)
-            picture = self._preparation.picture(reference)
+            picture = self._preparation.picture()
             moments = self._preparation.moments()
             feature = np.empty(self.config.feature_size, np.float32)
             force = frame_step(inputs, moments, self._weights, self._maps, self._scratch, feature)
@@ -261,7 +266,7 @@ class FgerEstimator(Estimator):
             if meter is not None:
                 # A contact that cannot be found costs no force.
                 with contextlib.suppress(np.linalg.LinAlgError):
-                    touch = meter.measure(reference, coarse)
+                    touch = meter.measure(self._preparation.grown, coarse)
             return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:

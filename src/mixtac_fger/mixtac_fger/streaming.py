@@ -381,6 +381,7 @@ class ForceEstimator:
             reason=self._reason(),
             validity=self._reason_now.name,
             zero_drift=self.force_scale * self._zero.drift if self._zero is not None else 0.0,
+            gel_growth=self._estimator.growth,
         )
 
     def _reason(self) -> str:

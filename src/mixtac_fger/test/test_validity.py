@@ -54,7 +54,7 @@ def compared(preparation, trial) -> Callable[[np.ndarray], PictureFigures]:
     def compare(image: np.ndarray) -> PictureFigures:
         contrast = preparation.contrast(image)
         preparation.network_input(contrast, reference)
-        return preparation.picture(reference)
+        return preparation.picture()
 
     return compare
 

@@ -313,4 +313,4 @@ UNSEEN_BY_SAMPLES = {
 def fger_recipe(config: FgerConfig) -> Recipe:
     """Return the recipe of the samples of FGER-Net."""
     kept = {name: v for name, v in config.to_dict().items() if name not in UNSEEN_BY_SAMPLES}
-    return Recipe('fger', config, make_sample, {'kind': 'fger 8'} | kept)
+    return Recipe('fger', config, make_sample, {'kind': 'fger 9'} | kept)
