@@ -150,8 +150,6 @@ def _run_graph(
         'imu_acc_enabled': False,
         'imu_gyro_enabled': False,
         'imu_temp_enabled': False,
-        # While the host is behind, the camera sends nothing.
-        'stream_timeout': 600.0,
     }
     nodes = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator

@@ -23,8 +23,8 @@ class VirtualCameraParameters:
         preset: Difficulty preset of the simulated sensor: paper_like and hard add effects of a real
             bench
         skew_ppm: Rate of the camera's clock over the host's, less one
-        socket: Socket on which the virtual camera listens; empty for the one that device:=virtual
-            opens
+        socket: Socket on which the virtual camera listens. If empty, the socket that the driver
+            opens with `device:=virtual`
     """
 
     device_seed: int = fixed(1, within=(0, 9_999_999))

@@ -100,6 +100,8 @@ def config_file(name: str) -> Path:
 
 NO_DRIVER = 'none'
 """Device of a graph without a driver."""
+PATIENCE_S = 600.0
+"""Time without data after which the driver opens a simulated camera again [s]."""
 
 
 def is_virtual(device: str) -> bool:
@@ -153,7 +155,9 @@ def sensor_graph(
         ]
     if device != NO_DRIVER:
         clock = {'playback_clock': True} if simulated_time and not is_virtual(device) else {}
-        own = {'device': device, **clock, **(driver or {})}
+        # While a slow host is behind, a simulated camera sends nothing.
+        patient = {'stream_timeout': PATIENCE_S} if is_virtual(device) else {}
+        own = {'device': device, **patient, **clock, **(driver or {})}
         nodes.append(node('mixtac_driver.node', 'driver', required=True, overrides=own))
     if slip is not None:
         nodes.append(slip_control({**follow, **slip}))

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_core.node.graph import (
+    PATIENCE_S,
     config_file,
     node,
     sensor_graph,
@@ -60,7 +61,8 @@ def test_the_virtual_sensor_comes_first_and_shares_its_socket():
     nodes = sensor_graph('virtual:/a/b.sock', virtual_sensor={'device_seed': 5})
     assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
     assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
-    assert overrides(nodes)['driver'] == {'device': 'virtual:/a/b.sock'}
+    driver = {'device': 'virtual:/a/b.sock', 'stream_timeout': PATIENCE_S}
+    assert overrides(nodes)['driver'] == driver
     assert overrides(nodes)['fger'] == {'assume_free': True, 'autostart': True}
 
 
