@@ -63,7 +63,7 @@ FIRST_FAR: Final = 5e-5
 """Displacement of the corners per press before the first contact [1/bin]; 6e-6 to 1.1e-4 on nine
 sensors of two simulators."""
 FIRST_PRESSES: Final = 25.0
-"""Weight of `FIRST_FAR`: that of a frame with this square of the press [bins^2]."""
+"""Weight of `FIRST_FAR` beside frames, whose weight is the square of their press [bins^2]."""
 MOST_PRESSES: Final = 8000.0
 """Weight of all earlier frames at most [bins^2]: about twelve frames of a press of 1 N."""
 

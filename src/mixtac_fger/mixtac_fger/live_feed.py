@@ -55,6 +55,11 @@ class FeedStatus(NamedTuple):
     lately: dict[str, int]
 
 
+def _comparable(age_ns: int) -> bool:
+    """Return whether an age [ns] is the difference of times of one clock."""
+    return 0 <= age_ns < COMPARABLE_NS
+
+
 class LiveFeed:
     """Feeds an estimator with the contents of messages; bad messages are counted, never raised.
 
@@ -86,8 +91,7 @@ class LiveFeed:
             message: The packet.
             age_ns: Time since it arrived at the host [ns].
         """
-        comparable = 0 <= age_ns < COMPARABLE_NS
-        self.estimator.events_late_us = age_ns // 1000 if comparable else 0
+        self.estimator.events_late_us = age_ns // 1000 if _comparable(age_ns) else 0
         repeated = self._sequence.repeated
         self._sequence.update(message.seq)
         if self._sequence.repeated > repeated:
@@ -131,7 +135,7 @@ class LiveFeed:
             now_ns: Present time [ns, host].
         """
         age_ns = now_ns - arrival_ns
-        if 0 <= age_ns < COMPARABLE_NS:
+        if _comparable(age_ns):
             self._ages.add(age_ns / 1e6)
             if age_ns > 1e9 * self.deadline_s:
                 self._late += count

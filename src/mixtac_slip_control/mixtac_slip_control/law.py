@@ -40,7 +40,7 @@ PRECISE: Final = 0.1
 LARGEST_RATIO: Final = 20.0
 """Largest ratio of two forces for which a contact stiffens."""
 LEAST_RISE: Final = 1.05
-"""Least ratio of the usable force to that of the grasp: with less room, no slip could be held."""
+"""Least usable force over the force of the grasp; with less room, no slip could be held."""
 DRIFT: Final = 2e-6
 """Variance by which the force at advance zero may change from one force to the next [N^2], as the
 gel relaxes and as the sensor corrects the force of a fast press."""
