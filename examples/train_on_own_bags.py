@@ -14,7 +14,7 @@ from pathlib import Path
 settings = """
 model: ours
 out: mine.safetensors
-training: {frame_epochs: 2, recurrent_epochs: 2, joint_epochs: 1}
+training: {recurrent_epochs: 2}
 data: {bags: [FOLDER], checked: 0.25}
 judged: 0
 """

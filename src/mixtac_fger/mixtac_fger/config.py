@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, TypeVar
 
 from mixtac_core.events.errors import MixtacError
@@ -48,15 +47,15 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 6
-FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
-"""What the frame network can be given; see `FgerConfig.frame_channels`."""
+VERSION = 7
 CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
 """Widths around the contact over which moments of a frame are summed [bins]."""
-MOMENTS = 5 + len(TURNING_WIDTHS)
-"""Number of moments of a frame; see `mixtac_fger.shear`."""
+PRESSES = 2
+"""Number of moments of a frame that the normal force follows from; see `mixtac_fger.moments`."""
+MOMENTS = PRESSES + 7 + len(TURNING_WIDTHS)
+"""Number of all moments of a frame."""
 FEWEST_WINDOWS = 10
 """Least of `FgerConfig.history_windows`: what is read around a frame."""
 LARGEST = 1_000_000
@@ -67,26 +66,20 @@ LARGEST = 1_000_000
 class FgerConfig:
     """Shapes and signal processing of FGER-Net (the paper's Algorithm 1), small version.
 
-    The frame network reads a frame that is averaged over `frame_bin` x `frame_bin` pixels and
-    expressed as the logarithm of the ratio to its own mean: neither the exposure time, nor the lamp
-    current, nor the number of bits of the image matter. The event encoder reads, per window, a
-    coarse grid of sums.
+    The displacement of the beads is measured in a frame that is averaged over `frame_bin` x
+    `frame_bin` pixels and expressed as the logarithm of the ratio to its own mean: neither the
+    exposure time, nor the lamp current, nor the number of bits of the image matter. The event
+    encoder reads, per window, a coarse grid of sums.
 
     Attributes:
         width: Columns of the sensor [px].
         height: Rows of the sensor [px].
         window_us: Length of an event window [us], camera clock; one force per window.
-        frame_bin: Pixels averaged along each axis for the frame network.
+        frame_bin: Pixels averaged along each axis for the displacement.
         gradient_bin: Pixels averaged along each axis for the log-gradient map that events are
             multiplied with; divides `frame_bin`.
         log_floor: Added to the intensity relative to the frame's mean before the logarithm.
-        frame_channels: Inputs of the frame network: `frame` (log intensity), `difference` (log
-            intensity minus that of the no-contact reference), `flow_x`, `flow_y` (displacement of
-            the beads since the reference, least squares over a box of 2 `flow_radius` + 1 bins, in
-            bins). The difference to the reference halves the error of frames alone; the flow does
-            not depend on the bead layout, which is what another sensor changes. The frame itself
-            does, and is better left out (unseen sensors: MAE 0.080 N without, 0.090 N with it).
-        flow_radius: Half width of that box [bins].
+        flow_radius: Half width of the least-squares box of the displacement [bins].
         flow_regularisation: Added to the diagonal of the mean structure tensor of the box
             [1/bin^2, log units]: how much texture a displacement needs.
         reference_frames: No-contact frames averaged into the reference.
@@ -95,24 +88,14 @@ class FgerConfig:
             does not become "nothing".
         grid_columns: Columns of the event grid.
         grid_rows: Rows of the event grid.
-        gradient_flow: Sum polarity times log-gradient of the latest frame per cell and solve for
-            the displacement in the window (per contrast threshold). Without it only the counts are
-            used, which costs half of the accuracy.
         cell_regularisation: As `flow_regularisation`, for the cells of the event grid [1/px^2].
         flow_limit: Largest magnitude of a cell's event displacement [px per threshold].
         event_hidden: Width of the event encoder's hidden layer.
         event_size: Size of the event feature f_e.
-        frame_widths: Channels of the strided convolutions.
-        frame_size: What the convolutions add to the frame feature f_frame. The moments of the
-            displacement (`mixtac_fger.shear`) are the rest of it, if the frame network is given
-            the flow.
         lstm_size: Size of the recurrent state.
-        mlp_size: Hidden width of MLP_df.
-        event_shortcut: Give MLP_df the event feature beside the recurrent state, which is bounded,
-            so that an increment is not. Where blows are trained on (`training.blow_every`) it
-            makes no difference.
-        frame_context: Give MLP_df the feature of the latest frame as well: how much force a motion
-            makes depends on the width and the place of the contact, which events do not show.
+        mlp_size: Hidden width of MLP_df. It reads the event feature beside the recurrent state,
+            which is bounded, so that an increment is not; and the moments of the latest frame,
+            because how much force a motion makes depends on the width and the place of the contact.
         history_windows: How many windows the centre of an exposure may lie back.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
@@ -125,24 +108,18 @@ class FgerConfig:
     frame_bin: int = 4
     gradient_bin: int = 2
     log_floor: float = 0.05
-    frame_channels: tuple[str, ...] = ('difference', 'flow_x', 'flow_y')
     flow_radius: int = 3
     flow_regularisation: float = 1e-3
     reference_frames: int = 5
     reference_stillness: float = 0.02
     grid_columns: int = 8
     grid_rows: int = 6
-    gradient_flow: bool = True
     cell_regularisation: float = 1e-4
     flow_limit: float = 50.0
     event_hidden: int = 32
     event_size: int = 24
-    frame_widths: tuple[int, ...] = (12, 16, 24, 32, 32)
-    frame_size: int = 22
     lstm_size: int = 40
     mlp_size: int = 24
-    event_shortcut: bool = True
-    frame_context: bool = True
     history_windows: int = 64
     force_unit: float = 1.0
     shear: bool = False
@@ -159,26 +136,13 @@ class FgerConfig:
                 raise ConfigError(
                     f'FgerConfig.{field.name} = {value}: give a number above 0, up to {LARGEST}'
                 )
-        unknown = set(self.frame_channels) - set(FRAME_CHANNELS)
         fine, windows = self.gradient_bin, self.history_windows
         for wrong, name, wanted in (
             (self.frame_bin % fine, 'frame_bin', f'a multiple of gradient_bin = {fine}'),
-            (unknown or not self.frame_channels, 'frame_channels', f'some of {FRAME_CHANNELS}'),
             (windows < FEWEST_WINDOWS, 'history_windows', f'{FEWEST_WINDOWS} or more'),
-            (self.shear and not self.reads_flow, 'frame_channels', 'flow_x and flow_y for shear'),
         ):
             if wrong:
                 raise ConfigError(f'FgerConfig.{name} = {getattr(self, name)!r}: give {wanted}')
-
-    @property
-    def reads_flow(self) -> bool:
-        """Whether the frame network is given the displacement of the beads."""
-        return {'flow_x', 'flow_y'} <= set(self.frame_channels)
-
-    @property
-    def feature_size(self) -> int:
-        """Size of the frame feature f_frame: `frame_size`, and the moments."""
-        return self.frame_size + (MOMENTS if self.reads_flow else 0)
 
     @property
     def grid_shape(self) -> tuple[int, int]:
@@ -192,7 +156,7 @@ class FgerConfig:
 
     @property
     def frame_shape(self) -> tuple[int, int]:
-        """Rows and columns of the frame network's input."""
+        """Rows and columns of the displacement."""
         rows, columns = self.gradient_shape
         ratio = self.frame_bin // self.gradient_bin
         return rows // ratio, columns // ratio
@@ -222,21 +186,8 @@ class FgerConfig:
         return from_mapping(cls, values, 'FgerConfig')
 
 
-STATISTICS = (
-    *('frame.mean', 'frame.scale', 'frame.spread', 'event.scale', 'deviation'),
-    *('shear.unit', 'shear.deviation'),
-)
-"""Tensors of a weight file that are not trained by gradients."""
-
-
-def map_shapes(config: FgerConfig) -> list[tuple[int, int, int]]:
-    """Return rows, columns and channels of the input and of each convolution's output."""
-    rows, columns = config.frame_shape
-    shapes = [(rows, columns, len(config.frame_channels))]
-    for width in config.frame_widths:
-        rows, columns = (rows + 1) // 2, (columns + 1) // 2
-        shapes.append((rows, columns, width))
-    return shapes
+STATISTICS = ('frame.spread', 'event.scale', 'deviation', 'shear.unit', 'shear.deviation')
+"""Tensors of a weight file that are scales and deviations, not parameters."""
 
 
 def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
@@ -248,16 +199,7 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
         if bias:
             shapes[f'{name}.bias'] = (outputs,)
 
-    maps = map_shapes(config)
-    shapes['frame.mean'] = shapes['frame.scale'] = (maps[0][2], 1, 1)
-    for index, (before, after) in enumerate(pairwise(maps)):
-        name = f'frame.convolutions.{2 * index}'  # a ReLU stands between two convolutions
-        shapes[f'{name}.weight'] = (after[2], before[2], 3, 3)
-        shapes[f'{name}.bias'] = (after[2],)
-    linear('frame.project', math.prod(maps[-1]), config.frame_size)
-    if config.reads_flow:
-        shapes['frame.spread'] = (MOMENTS,)
-    linear('frame.head', config.feature_size, 1)
+    shapes['frame.spread'], shapes['frame.press'] = (MOMENTS,), (PRESSES,)
     shapes['event.scale'] = (CELL_FEATURES,)
     linear('event.hidden', config.event_inputs, config.event_hidden)
     linear('event.output', config.event_hidden, config.event_size)
@@ -265,15 +207,12 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     linear('gates_event', config.event_size, gates)
     linear('gates_force', 1, gates, bias=False)
     linear('gates_hidden', config.lstm_size, gates, bias=False)
-    shortcut = config.event_size if config.event_shortcut else 0
-    linear('increment.0', config.lstm_size + shortcut, config.mlp_size)
+    linear('increment.0', config.lstm_size + config.event_size, config.mlp_size)
     linear('increment.2', config.mlp_size, 1)
-    if config.frame_context:
-        linear('context', config.feature_size, config.mlp_size, bias=False)
+    linear('context', MOMENTS, config.mlp_size, bias=False)
     shapes['deviation'] = (3,)
     if config.shear:
-        linear('shear.frame', config.feature_size, 2)
-        linear('shear.turning', config.frame_size, len(TURNING_WIDTHS))
+        shapes['shear.pull'], shapes['shear.turning'] = (2,), (len(TURNING_WIDTHS),)
         shapes['shear.unit'], shapes['shear.deviation'] = (3,), (3, 3)
     return shapes
 
@@ -288,19 +227,11 @@ def operations_per_cycle(config: FgerConfig) -> int:
     """Return floating-point operations (2 per multiply-add) per frame interval of 40 ms."""
     shapes = tensor_shapes(config)
     sizes = {name: math.prod(shapes[name]) for name in shapes if name not in STATISTICS}
-    total = sum(
-        sizes[f'frame.convolutions.{2 * index}.weight'] * rows * columns
-        for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
-    )
-    total += sizes['frame.project.weight']
-    per_frame = ('shear', 'context')
-    total += sum(size for name, size in sizes.items() if name.startswith(per_frame))
-    per_window = sum(
-        size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))
-    )
-    if config.reads_flow:
-        # The event flow changes the normal force, and with `shear` three more values.
-        per_cell = 2 * (4 if config.shear else 1) * config.grid_rows * config.grid_columns
-        total += MOMENTS * per_cell
-        per_window += per_cell
+    per_frame = ('frame', 'shear', 'context')
+    total = sum(size for name, size in sizes.items() if name.startswith(per_frame))
+    per_window = sum(sizes.values()) - total
+    # The event flow changes the normal force, and with `shear` three more values.
+    per_cell = 2 * (4 if config.shear else 1) * config.grid_rows * config.grid_columns
+    total += MOMENTS * per_cell
+    per_window += per_cell
     return 2 * (total + per_window * 40_000 // config.window_us)

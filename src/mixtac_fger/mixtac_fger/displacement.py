@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mixtac_core.events.frames import bin_mean, displacement, gradients
 from mixtac_fger.config import MOMENTS, FgerConfig
-from mixtac_fger.shear import moments
+from mixtac_fger.moments import moments
 
 F32 = NDArray[np.float32]
 
@@ -191,7 +191,7 @@ class Growth:
 
     The displacement by a contact falls off towards the corners of the picture, and that by growth
     rises. The mean outward displacement of the corners is therefore the growth plus a small
-    multiple of the press D (`mixtac_fger.shear`). The multiple is a property of the gel. It is
+    multiple of the press D (`mixtac_fger.moments`). The multiple is a property of the gel. It is
     fitted to the frames in which the press changes, because growth is slow; in the other frames the
     growth follows.
 

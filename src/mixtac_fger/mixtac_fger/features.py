@@ -17,7 +17,7 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
 from mixtac_fger.displacement import Growth
-from mixtac_fger.shear import moments
+from mixtac_fger.moments import moments
 from mixtac_fger.validity import PictureFigures, picture_figures
 
 F32 = NDArray[np.float32]
@@ -206,7 +206,7 @@ class Contrast:
 
     Attributes:
         fine: For the event guide, float32 `FgerConfig.gradient_shape`.
-        coarse: For the frame network, float32 `FgerConfig.frame_shape`.
+        coarse: For the displacement, float32 `FgerConfig.frame_shape`.
     """
 
     fine: F32
@@ -229,7 +229,7 @@ def light_basis(shape: Sequence[int]) -> F32:
 
 
 class FramePreparation:
-    """Turns camera frames into log contrast, event guides and network inputs.
+    """Turns camera frames into log contrast, event guides and moments of displacement.
 
     Holds scratch memory and the growth of the gel: use one instance per thread and sensor.
 
@@ -286,8 +286,8 @@ class FramePreparation:
         cell_solvers(along_x, along_y, self._cells, per_bin, ridge, solvers)
         return EventGuide(along_x, along_y, solvers)
 
-    def network_input(self, contrast: Contrast, reference: F32) -> F32:
-        """Return the frame network's input, float32 [channels, rows, columns].
+    def compare(self, contrast: Contrast, reference: F32) -> F32:
+        """Return the moments of the displacement since the reference, float32 [13].
 
         The part that a smooth change of light since the reference explains is first removed from
         the frame, and the reference grows as the gel did up to the frame before. Frames must be in
@@ -308,24 +308,11 @@ class FramePreparation:
         displacement(reference, self._even, radius, ridge, self._work, self._flow)
         moments(self._flow, self._moments)
         self._growth.follow(self._flow, float(self._moments[0]))
-        channels = {
-            'frame': self._even,
-            'difference': self._even - reference,
-            'flow_x': self._flow[0],
-            'flow_y': self._flow[1],
-        }
-        return np.stack([channels[name] for name in config.frame_channels])
+        return self._moments.copy()
 
     def picture(self) -> PictureFigures:
-        """Return the comparison of the frame of the latest `network_input` with the reference."""
+        """Return the comparison of the frame of the latest `compare` with the reference."""
         return picture_figures(self.grown, self._even, self._flow)
-
-    def moments(self) -> F32:
-        """Return the moments of the displacement of the latest `network_input`, float32 [9].
-
-        Empty where the frame network is not given the displacement.
-        """
-        return self._moments[: MOMENTS if self._config.reads_flow else 0].copy()
 
     @property
     def growth(self) -> float:
@@ -380,10 +367,7 @@ class WindowFeatures:
         self._count += 1
         fade(self._balance[self._count % FADING_WINDOWS :: FADING_WINDOWS])
         pixels, limit = (events.x, events.y, events.polarity), config.flow_limit
-        light = grid_features(*pixels, guide, self._places, limit, self._balance, out)
-        if not config.gradient_flow:
-            out[..., :2] = 0.0
-        return bool(light)
+        return bool(grid_features(*pixels, guide, self._places, limit, self._balance, out))
 
 
 def correction_lag(estimate_us: int, mid_us: int, window_us: int) -> int:

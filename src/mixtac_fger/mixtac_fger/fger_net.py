@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The estimator of FGER-Net, small version: compiled, without torch.
 
-A frame measures the force absolutely, at the centre of its exposure; events measure its change
-since then (`mixtac_fger.recurrent_network`):
+A frame measures the force absolutely, at the centre of its exposure (`mixtac_fger.moments`); events
+measure its change since then (`mixtac_fger.recurrent_network`):
 
 .. math:: F_t = F_{frame} + g_A A_t + g_B B_t
 
@@ -34,7 +34,7 @@ import numpy as np
 
 from mixtac_fger.config import (
     ARCHITECTURE,
-    MOMENTS,
+    PRESSES,
     VERSION,
     ConfigError,
     FgerConfig,
@@ -46,10 +46,10 @@ from mixtac_fger.config import (
 from mixtac_fger.contact import TouchMeter
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
-from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
+from mixtac_fger.moments import FlowMoments
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.reference import Reference
-from mixtac_fger.shear import FlowMoments, Shear, ShearHead, Shown
+from mixtac_fger.shear import Shear, ShearHead, Shown
 from mixtac_fger.weights import MODEL_REMEDY
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 SPREAD_WINDOWS = 6
 """Windows over which the output follows a correction."""
-DIVISORS = {'event.scale', 'frame.scale', 'frame.spread'}
+DIVISORS = {'event.scale', 'frame.spread'}
 """Tensors by which inputs are divided."""
 BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
@@ -71,7 +71,7 @@ but never two frames in a row."""
 
 
 class _Content(NamedTuple):
-    """What is needed of a frame: f_frame, how events are read by it, and the shear shown.
+    """What is needed of a frame: moments over their spread, how events are read by it, and shear.
 
     `press` is as in `RecurrentPath.see`.
     """
@@ -140,9 +140,8 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     """
     unit = gain * _checked(model, gain).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
-    for layer in ('increment.2', 'frame.head'):
-        for kind in ('weight', 'bias'):
-            tensors[f'{layer}.{kind}'] *= np.float32(gain)
+    for name in ('frame.press', 'increment.2.weight', 'increment.2.bias'):
+        tensors[name] *= np.float32(gain)
     tensors['gates_force.weight'] /= np.float32(gain)
     tensors['deviation'][0] *= np.float32(gain)
     tensors['deviation'][1] *= np.float32(deviation)
@@ -201,9 +200,8 @@ class FgerEstimator(Estimator):
         self.gives_deviation = any(self._deviation)
         self.parameters, self.operations = count_parameters(config), operations_per_cycle(config)
         self.reference = Reference(config)
-        self._weights = frame_weights(model.tensors, config)
-        self._maps = frame_maps(config)
-        self._scratch = row_scratch(config)
+        tensors = model.tensors
+        self._spread, self._press = (np.array(tensors[f'frame.{n}']) for n in ('spread', 'press'))
         self._preparation = FramePreparation(config)
         self._encoding = threading.Lock()
         self.path = RecurrentPath(config, model.tensors)
@@ -212,8 +210,7 @@ class FgerEstimator(Estimator):
         self._guide: EventGuide | None = None
         self._pending_n, self._pending_windows = 0.0, 0
         self._passed = False
-        spread = model.tensors.get('frame.spread')
-        self._flow_moments = None if spread is None else FlowMoments(config, spread)
+        self._flow_moments = FlowMoments(config, self._spread)
         self._touch: TouchMeter | None = None
         self._shear = ShearHead(config, model.tensors) if config.shear else None
 
@@ -248,18 +245,13 @@ class FgerEstimator(Estimator):
             if found is None:
                 return None
             reference, number = found
-            inputs = self._preparation.network_input(contrast, reference)
-            picture = self._preparation.picture()
-            moments = self._preparation.moments()
-            feature = np.empty(self.config.feature_size, np.float32)
-            force = frame_step(inputs, moments, self._weights, self._maps, self._scratch, feature)
-            guide = self._preparation.guide(contrast)
-            press, shear = np.zeros((*self.config.grid_shape, 2)), None
-            if self._flow_moments is not None:
-                per_flow = self._flow_moments.per_flow(feature)
-                press = np.tensordot(self._weights.head[-MOMENTS:], per_flow, 1)
-                if self._shear is not None:
-                    shear = self._shear.measure(feature, per_flow)
+            moments = self._preparation.compare(contrast, reference)
+            feature = np.asarray(moments / self._spread, np.float32)
+            force = self._press @ feature[:PRESSES]
+            picture, guide = self._preparation.picture(), self._preparation.guide(contrast)
+            per_flow = self._flow_moments.per_flow(feature)
+            press = np.tensordot(self._press, per_flow[:PRESSES], 1)
+            shear = None if self._shear is None else self._shear.measure(feature, per_flow)
             content = _Content(feature, guide, press, shear)
             coarse = contrast.coarse
             touch, meter = None, self._touch

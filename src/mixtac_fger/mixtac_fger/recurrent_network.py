@@ -14,9 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.config import CELL_FEATURES, FgerConfig
-from mixtac_fger.frame_network import copied
-from mixtac_fger.shear import along_flow
+from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
+from mixtac_fger.moments import along_flow
 from mixtac_fger.weights import Tensors
 
 F32 = NDArray[np.float32]
@@ -80,8 +79,13 @@ def step_weights(tensors: Tensors) -> StepWeights:
         *_layer(tensors, 'increment.0'),
         copied(tensors['increment.2.weight'][0]),
         copied(tensors['increment.2.bias']),
-        copied(tensors.get('context.weight', np.zeros((0, 0)))),
+        copied(tensors['context.weight']),
     )
+
+
+def copied(tensor: NDArray[np.generic]) -> F32:
+    """Return a C-ordered float32 copy."""
+    return np.array(tensor, np.float32, order='C')
 
 
 def _layer(tensors: Tensors, name: str) -> tuple[F32, F32]:
@@ -156,8 +160,7 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # no
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
     state.increment_hidden[:] = state.context
     _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
-    if weights.increment_hidden.shape[0] > size:
-        _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
+    _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
     _relu(state.increment_hidden)
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
@@ -258,7 +261,7 @@ class RecurrentPath:
         self.shown, self._then = 0.0, np.zeros(2)
         self.gains = EventGains(self._unit)
         still = np.zeros((*config.grid_shape, 2))
-        self.see(np.zeros(config.feature_size, np.float32), still)
+        self.see(np.zeros(MOMENTS, np.float32), still)
 
     @property
     def force(self) -> float:
@@ -287,14 +290,12 @@ class RecurrentPath:
         """Relate motion and force by the latest frame from now on.
 
         Args:
-            frame_feature: f_frame.
+            frame_feature: Moments of the frame over their spread, float32 [13].
             press: Change of the force by a flow of one pixel per threshold in each cell of the
                 event grid [N], [grid rows, grid columns, 2].
         """
-        matrix, context = self._weights.context, self._state.context
-        context[:] = self._weights.increment_hidden_bias
-        if matrix.size:
-            context += matrix @ frame_feature
+        weights = self._weights
+        self._state.context[:] = weights.increment_hidden_bias + weights.context @ frame_feature
         self._press = press
 
     def start_at(self, force: float) -> None:

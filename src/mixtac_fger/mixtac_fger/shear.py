@@ -1,30 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""Sideways force and torsion, and the moments of the displacement that they follow from.
+r"""Sideways force and torsion, from the moments of the displacement (`mixtac_fger.moments`).
 
-Far from a load, a layer moves as if the load acted at one point. In a window that is much wider
-than the contact, neither the shape of the contact nor the pressure distribution matters. With
-:math:`x` from the contact, :math:`u` the displacement and :math:`g` a Gaussian of width :math:`w`,
-
-.. math:: D = \sum x \cdot u \, g / w^2, \quad S = \sum u \, g / w, \quad
-          T_w = \sum (x \times u) \, g / w^2
-
-are proportional to the normal force, the sideways force and the torque; the constants depend on the
-stiffness of the gel. For a press and a pull, T is zero; for a turn, D and S are zero. Beads that
-are pressed towards the camera move away from the optical axis in the image. For a contact at c from
-the axis, this adds to S a part proportional to :math:`L = D c / w`; L is therefore computed as
-well.
-
-The contact is at the mean of the places, weighted by the square of the divergence of u where that
-is positive. A turn has no divergence. A pull shifts the mean along its own direction only, which
-adds no moment.
-
-The sideways force is a linear function of the feature of a frame, most of all of its moments.
-The torsion is a weighted sum of the moments of turning; the convolutions adapt the weights to gel
-and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames, the moments of the event
-flow, :math:`u = e \, v`, are added to the moments: v is the displacement per contrast threshold,
-and e (`PER_EVENT`) scales it to the displacement in frames. The same constants convert both to a
-force.
+Along each axis the sideways force is a weighted sum of S and L, and the torsion one of the moments
+of turning T. Between frames, the moments of the event flow are added.
 
 The value y is that of the latest frame plus the increments since the centre of its exposure; the
 output follows a frame over some windows. Its standard deviation is
@@ -39,13 +18,14 @@ into the gel (right-handed, REP-103). Forces act on the skin.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.config import MOMENTS, TURNING_WIDTHS
+from mixtac_fger.config import MOMENTS, PRESSES
+from mixtac_fger.moments import along_flow
 
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
@@ -53,158 +33,6 @@ if TYPE_CHECKING:
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-
-RISE: Final = 2
-"""Half the distance over which the divergence is taken [bins]."""
-
-
-@njit(cache=True, nogil=True)
-def moments(flow: F32, out: F32) -> None:
-    """Write the moments of a displacement, in axes of the contact frame (x right, y upwards).
-
-    Args:
-        flow: Displacement x and y since the reference, y downwards [bins], [2, rows, columns].
-        out: D, S right and up, L right and up, T over each of `TURNING_WIDTHS`; all but T over the
-            last of these; [bins], float32 [`MOMENTS`]. 0 where nothing has moved.
-    """
-    rows, columns = flow.shape[1:]
-    total, right, below = 0.0, 0.0, 0.0
-    for row in range(RISE, rows - RISE):
-        for column in range(RISE, columns - RISE):
-            spread = flow[0, row, column + RISE] - flow[0, row, column - RISE]
-            spread += flow[1, row + RISE, column] - flow[1, row - RISE, column]
-            if spread > 0.0:
-                weight = spread * spread
-                total += weight
-                right += weight * column
-                below += weight * row
-    out[:] = 0.0
-    if not total > 0.0:
-        return
-    right, below = right / total, below / total
-    for index in range(len(TURNING_WIDTHS)):
-        width = TURNING_WIDTHS[index]
-        across = np.exp(-0.5 * ((np.arange(columns) - right) / width) ** 2)
-        press, pull_x, pull_y, turn = 0.0, 0.0, 0.0, 0.0
-        for row in range(rows):
-            y = row - below
-            row_press, row_x, row_y, row_turn = 0.0, 0.0, 0.0, 0.0
-            for column in range(columns):
-                x = column - right
-                u, v = across[column] * flow[0, row, column], across[column] * flow[1, row, column]
-                row_x += u
-                row_y += v
-                row_press += x * u + y * v
-                row_turn += y * u - x * v
-            down = np.exp(-0.5 * (y / width) ** 2)
-            press += down * row_press
-            pull_x += down * row_x
-            pull_y += down * row_y
-            turn += down * row_turn
-        out[MOMENTS - len(TURNING_WIDTHS) + index] = turn / (width * width)
-        # What is left after the last width stays.
-        out[0] = press / (width * width)
-        out[1] = pull_x / width
-        out[2] = -pull_y / width
-        out[3] = out[0] * (right - 0.5 * (columns - 1)) / width
-        out[4] = -out[0] * (below - 0.5 * (rows - 1)) / width
-
-
-def contact_of(found: F32 | F64, shape: tuple[int, int]) -> tuple[float, float]:
-    """Return column and row of the contact that moments are about [bins].
-
-    Args:
-        found: Of `moments`.
-        shape: Rows and columns of the displacement.
-    """
-    rows, columns = shape
-    right, below = 0.5 * (columns - 1), 0.5 * (rows - 1)
-    press, _, _, lean_x, lean_y = found[:5].tolist()
-    if press:
-        right += TURNING_WIDTHS[-1] * lean_x / press
-        below -= TURNING_WIDTHS[-1] * lean_y / press
-    return min(max(right, 0.0), columns - 1.0), min(max(below, 0.0), rows - 1.0)
-
-
-@njit(cache=True, nogil=True)
-def moments_of_cells(contact: tuple[float, float], shape: tuple[int, int], out: F64) -> None:
-    """Write the contribution of the displacements x and y of each cell of a grid to the moments.
-
-    Args:
-        contact: Column and row of the contact [bins].
-        shape: Rows and columns of the displacement, which the cells divide evenly.
-        out: float64 [`MOMENTS`, grid rows, grid columns, 2], y downwards.
-    """
-    rows, columns = out.shape[1:3]
-    bins = shape[0] * shape[1] / (rows * columns)
-    lean_x, lean_y = contact[0] - 0.5 * (shape[1] - 1), contact[1] - 0.5 * (shape[0] - 1)
-    out[:] = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            cell = out[:, row, column]
-            x = (column + 0.5) * shape[1] / columns - 0.5 - contact[0]
-            y = (row + 0.5) * shape[0] / rows - 0.5 - contact[1]
-            near, width = 0.0, 1.0
-            for index in range(len(TURNING_WIDTHS)):
-                width = TURNING_WIDTHS[index]
-                near = bins * np.exp(-0.5 * (x * x + y * y) / width**2)
-                turn = cell[MOMENTS - len(TURNING_WIDTHS) + index]
-                turn[0], turn[1] = near * y / width**2, -near * x / width**2
-            cell[0, 0], cell[0, 1] = near * x / width**2, near * y / width**2
-            cell[1, 0], cell[2, 1] = near / width, -near / width
-            for axis in range(2):
-                cell[3, axis] = cell[0, axis] * lean_x / width
-                cell[4, axis] = -cell[0, axis] * lean_y / width
-
-
-PER_EVENT: Final = 0.4
-"""Displacement in frames over displacement per contrast threshold from events."""
-
-
-class FlowMoments:
-    """What the flow of events adds to the moments of the latest frame; memory is fixed.
-
-    Args:
-        config: Network configuration.
-        spread: Of each moment, float32 [9].
-    """
-
-    def __init__(self, config: FgerConfig, spread: F32) -> None:
-        self._shape = config.frame_shape
-        self._spread = np.array(spread, np.float64)
-        self._cells = np.empty((MOMENTS, *config.grid_shape, 2))
-        # Of a displacement in bins.
-        self._scale = (PER_EVENT / config.frame_bin / self._spread)[:, None, None, None]
-
-    def per_flow(self, feature: F32) -> F64:
-        """Return the change of the moments by a flow of one pixel per contrast threshold.
-
-        Args:
-            feature: f_frame, float32 [feature_size].
-
-        Returns:
-            Change over the spread, by x and y in each cell, [9, grid rows, grid columns, 2].
-        """
-        contact = contact_of(feature[-MOMENTS:] * self._spread, self._shape)
-        moments_of_cells(contact, self._shape, self._cells)
-        return self._scale * self._cells
-
-
-@njit(cache=True, nogil=True)
-def along_flow(features: F32, per_flow: F64) -> Any:  # noqa: ANN401
-    """Return the change of a force by the flow of a window.
-
-    Args:
-        features: Grid features, float32 [grid rows, grid columns, 4].
-        per_flow: Change by a flow of one pixel per threshold, [grid rows, grid columns, 2].
-    """
-    total = 0.0
-    for row in range(features.shape[0]):
-        for column in range(features.shape[1]):
-            cell, gain = features[row, column], per_flow[row, column]
-            total += gain[0] * cell[0] + gain[1] * cell[1]
-    return total
-
 
 NEWTONS: Final = (1.0, 1.0, 1e-3)
 """Units of the output of the network: newtons, and newton millimetres for the torque."""
@@ -266,6 +94,19 @@ def _values(base: F64, sums: F64, pending: F64, units: F64, shares: F64, out: F6
     return bool(np.isfinite(out.sum()))
 
 
+def across_per_moment(pull: F64, turning: F64) -> F64:
+    """Return sideways force x and y and torsion per moment, [3, `MOMENTS`].
+
+    Args:
+        pull: Weights of S and L, [2].
+        turning: Weights of the moments of turning, [4].
+    """
+    found = np.zeros((3, MOMENTS))
+    found[[0, 1], [PRESSES, PRESSES + 1]], found[[0, 1], [PRESSES + 2, PRESSES + 3]] = pull
+    found[2, -len(turning) :] = turning
+    return found
+
+
 class ShearHead:
     """Sideways force and torsion with their state; memory is fixed.
 
@@ -280,8 +121,7 @@ class ShearHead:
         def tensor(name: str) -> F64:
             return np.array(tensors[name], np.float64)
 
-        self._frame = tensor('shear.frame.weight'), tensor('shear.frame.bias')
-        self._turning = tensor('shear.turning.weight'), tensor('shear.turning.bias')
+        self._per_moment = across_per_moment(tensor('shear.pull'), tensor('shear.turning'))
         self._units = tensor('shear.unit') * NEWTONS
         self._shares = tensor('shear.deviation')
         # Sums of the increments and of their sizes up to each window.
@@ -296,16 +136,11 @@ class ShearHead:
         """Return the measurement of a frame.
 
         Args:
-            feature: f_frame, float32 [feature_size].
-            per_flow: Of `FlowMoments`.
+            feature: Moments of the frame over their spread, float32 [13].
+            per_flow: Of `mixtac_fger.moments.FlowMoments`.
         """
-        (weight, bias), (gates, gates_bias) = self._frame, self._turning
-        turning = gates @ feature[: gates.shape[1]] + gates_bias
-        own = feature[-MOMENTS:]
-        value = np.append(weight @ feature + bias, own[-len(turning) :] @ turning)
-        per_moment = np.zeros((3, len(own)))
-        per_moment[:2], per_moment[2, -len(turning) :] = weight[:, -len(own) :], turning
-        return Shown(value, np.tensordot(per_moment, per_flow, 1))
+        per_moment = self._per_moment
+        return Shown(per_moment @ feature, np.tensordot(per_moment, per_flow, 1))
 
     def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
         """Correct the value by the measurement of a frame.

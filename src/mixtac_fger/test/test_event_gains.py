@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toy_sensor import random_model
 
-from mixtac_fger.config import CELL_FEATURES, FgerConfig
+from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
 from mixtac_fger.recurrent_network import BLOW_N, EventGains, RecurrentPath
 
 CONFIG = FgerConfig()
@@ -118,7 +118,7 @@ def test_a_blow_is_found_around_its_windows_and_a_motion_is_none(unit):
 def test_the_force_is_that_of_the_frame_and_what_both_ways_have_added_since():
     path = moving_path(1.0, [0.02] * 30)
     press = np.full_like(STILL, 0.03 / BURST[..., :2].size)
-    path.see(np.zeros(CONFIG.feature_size, np.float32), press)
+    path.see(np.zeros(MOMENTS, np.float32), press)
     for _ in range(10):
         path.step(BURST)
     before = path.force

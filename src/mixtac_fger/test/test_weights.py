@@ -126,8 +126,6 @@ def test_an_unusable_configuration_is_named(saved, config):
         ('width', 0),
         ('log_floor', -1.0),
         ('gradient_bin', 3),
-        ('frame_channels', ('colour',)),
-        ('frame_channels', ()),
         ('force_unit', float('nan')),
         ('reference_stillness', float('inf')),
         ('history_windows', 1),
@@ -142,7 +140,7 @@ def test_impossible_configurations_are_refused(field, value):
 
 
 def test_configurations_survive_json():
-    config = FgerConfig(frame_channels=('frame', 'difference'), lstm_size=7)
+    config = FgerConfig(shear=True, lstm_size=7)
     assert FgerConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 

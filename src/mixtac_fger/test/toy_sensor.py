@@ -82,6 +82,17 @@ def toy_trial(seconds: float, seed: int) -> ToyTrial:
     )
 
 
+def displacement(place, press=0.0, pull=(0.0, 0.0), turn=0.0, width=8.0):
+    """Return the displacement [2, rows, columns] under a contact, y downwards [bins]."""
+    rows, columns = FgerConfig().frame_shape
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    x, y = x - place[0], y - place[1]
+    near = np.exp(-(x**2 + y**2) / (2.0 * width**2))
+    # Skin moves away from a press; a turn from x to y as the contact frame has them, y upwards.
+    moved = press * near * np.stack([x, y]) + near * np.reshape(pull, (2, 1, 1))
+    return (moved + turn * near * np.stack([y, -x])).astype(np.float32)
+
+
 def random_model(config: FgerConfig, seed: int = 5) -> Model:
     """Return a model with random weights that are large enough to matter."""
     random = np.random.default_rng(seed)
@@ -91,12 +102,10 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
         inputs = np.prod(shapes.get(name.replace('.bias', '.weight'), shape)[1:])
         limit = 1.0 / np.sqrt(max(float(inputs), 1.0))
         tensors[name] = random.uniform(-limit, limit, shape).astype(np.float32)
-    tensors['frame.mean'][:] = 0.0
-    tensors['frame.scale'][:] = 0.3
-    if config.reads_flow:
-        tensors['frame.spread'][:] = 20.0
+    tensors['frame.spread'][:] = 20.0
+    # Below the threshold of contact, so that a tare is possible at any time.
+    tensors['frame.press'] *= 0.1
     tensors['event.scale'][:] = (2.0, 2.0, 3.0, 3.0)
-    tensors['frame.head.weight'] *= 10.0
     tensors['deviation'][:] = (0.01, 0.1, 0.5)
     for name, tensor in tensors.items():
         if name.startswith(('event.hidden', 'event.output', 'increment')):

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -16,11 +14,11 @@ from mixtac_fger.config import (
     ARCHITECTURE,
     CELL_FEATURES,
     MOMENTS,
+    PRESSES,
     TURNING_WIDTHS,
     VERSION,
     FgerConfig,
     ModelError,
-    map_shapes,
 )
 from mixtac_fger.fger_net import checked_config
 from mixtac_fger.weights import Model, ModelCard, Tensors
@@ -45,7 +43,7 @@ class SequenceState(NamedTuple):
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
         offset: Force of the latest frame less the element of `history` at the centre of its
             exposure, [B] in N; history[-1] + offset is the estimate.
-        seen: f_frame of the latest frame, [B, feature_size].
+        seen: Features of the latest frame, [B, 13].
     """
 
     hidden: Tensor
@@ -63,7 +61,7 @@ class FrameSlots(NamedTuple):
     """Which frame becomes available at which window.
 
     Attributes:
-        frame: Row of the frame features, -1 where no frame becomes available, int64 [T, B].
+        frame: Row of the features of frames, -1 where no frame becomes available, int64 [T, B].
         lag: Windows between the last estimate and the centre of the exposure, int64 [T, B].
     """
 
@@ -88,73 +86,46 @@ class Course(NamedTuple):
     state: SequenceState
 
 
-class ShearHead(nn.Module):
-    """Sideways force and torsion of a frame; what events add is no network (`mixtac_fger.shear`).
-
-    Args:
-        config: Network configuration.
+class FrameForces(nn.Module):
+    """Constants of the forces that a frame shows; they are fitted, not trained by gradients.
 
     Attributes:
-        frame: From f_frame to the sideways force that a frame shows [N].
-        turning: From the output of the convolutions to the torsion per moment of turning [N mm].
+        spread: Of each moment, [13]; features of a frame are its moments over these.
+        press: Normal force per D and D r^2 over their spread [N], [2].
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.spread: Tensor
+        self.register_buffer('spread', torch.ones(MOMENTS))
+        self.press: Tensor
+        self.register_buffer('press', torch.zeros(PRESSES))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the normal force of frames [N], [...], by their features [..., 13]."""
+        return torch.Tensor(features[..., :PRESSES] @ self.press)
+
+
+class AcrossForces(nn.Module):
+    """Constants of the sideways force and the torsion (`mixtac_fger.shear`); they are fitted.
+
+    Attributes:
+        pull: Sideways force per S and L over their spread [N], [2].
+        turning: Torsion per moment of turning over its spread [N mm], [4].
         unit: Factor of each axis.
         deviation: Floor, share of the value and share of the increments, by axis.
     """
 
-    def __init__(self, config: FgerConfig) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.frame = nn.Linear(config.feature_size, 2)
-        self.turning = nn.Linear(config.frame_size, len(TURNING_WIDTHS))
+        self.pull: Tensor
+        self.register_buffer('pull', torch.zeros(2))
+        self.turning: Tensor
+        self.register_buffer('turning', torch.zeros(len(TURNING_WIDTHS)))
         self.unit: Tensor
         self.register_buffer('unit', torch.ones(3))
         self.deviation: Tensor
         self.register_buffer('deviation', torch.zeros(3, 3))
-
-    def shown(self, seen: Tensor) -> Tensor:
-        """Return what frames show [N, N, N mm], [..., 3], by f_frame."""
-        gates = self.turning(seen[..., : self.turning.in_features])
-        torsion = (seen[..., -gates.shape[-1] :] * gates).sum(-1, keepdim=True)
-        return torch.cat([self.frame(seen), torsion], dim=-1)
-
-
-class FrameNetwork(nn.Module):
-    """Phi_f: strided convolutions and a linear layer, and moments; plus the frames-only force.
-
-    Args:
-        config: Network configuration.
-    """
-
-    def __init__(self, config: FgerConfig) -> None:
-        super().__init__()
-        maps = map_shapes(config)
-        self.mean: Tensor
-        self.scale: Tensor
-        self.register_buffer('mean', torch.zeros(maps[0][2], 1, 1))
-        self.register_buffer('scale', torch.ones(maps[0][2], 1, 1))
-        layers: list[nn.Module] = []
-        for before, after in pairwise(maps):
-            layers += [nn.Conv2d(before[2], after[2], 3, stride=2, padding=1), nn.ReLU()]
-        self.convolutions = nn.Sequential(*layers)
-        self.project = nn.Linear(math.prod(maps[-1]), config.frame_size)
-        self.head = nn.Linear(config.feature_size, 1)
-        if config.reads_flow:
-            self.spread: Tensor
-            self.register_buffer('spread', torch.ones(MOMENTS))
-
-    def forward(self, frames: Tensor, moments: Tensor) -> Tensor:
-        """Return f_frame [N, feature_size].
-
-        Args:
-            frames: Inputs, [N, channels, rows, columns].
-            moments: Of their displacement (`mixtac_fger.shear`), [N, 9]; [N, 0] without flow.
-        """
-        maps = self.convolutions((frames - self.mean) / self.scale)
-        found = torch.relu(self.project(maps.flatten(1)))
-        return torch.cat([found, moments / self.spread], dim=1) if moments.shape[1] else found
-
-    def force(self, feature: Tensor) -> Tensor:
-        """Return the frames-only force [N] (in N) by f_frame, [N, feature_size]."""
-        return torch.Tensor(self.head(feature))[:, 0]
 
 
 class EventNetwork(nn.Module):
@@ -187,18 +158,16 @@ class FgerNetwork(nn.Module):
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
         self.config = config
-        self.frame = FrameNetwork(config)
+        self.frame = FrameForces()
         self.event = EventNetwork(config)
         gates = 4 * config.lstm_size
         self.gates_event = nn.Linear(config.event_size, gates)
         self.gates_force = nn.Linear(1, gates, bias=False)
         self.gates_hidden = nn.Linear(config.lstm_size, gates, bias=False)
-        shortcut = config.event_size if config.event_shortcut else 0
-        self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
-        if config.frame_context:
-            self.context = nn.Linear(config.feature_size, config.mlp_size, bias=False)
+        self.increment = perceptron(config.lstm_size + config.event_size, config.mlp_size)
+        self.context = nn.Linear(MOMENTS, config.mlp_size, bias=False)
         if config.shear:
-            self.shear = ShearHead(config)
+            self.shear = AcrossForces()
         self.deviation: Tensor
         self.register_buffer('deviation', torch.zeros(3))
 
@@ -208,7 +177,7 @@ class FgerNetwork(nn.Module):
         zeros = torch.zeros(sequences, config.lstm_size, device=device)
         history = torch.zeros(config.history_windows, sequences, device=device)
         offset = torch.zeros(sequences, device=device)
-        seen = torch.zeros(sequences, config.feature_size, device=device)
+        seen = torch.zeros(sequences, MOMENTS, device=device)
         return SequenceState(zeros, zeros, history, offset, seen)
 
     def forward(
@@ -222,22 +191,24 @@ class FgerNetwork(nn.Module):
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
-            frames: f_frame of all frames that `slots` names, [N, feature_size].
+            frames: Features of all frames that `slots` names, [N, 13].
             slots: When which frame becomes available.
             state: State before the first window.
         """
         events = self.event(event_features)
         drive = self.gates_event(events)
-        direct, of_state = self._direct(events)
+        # Split: the loop over windows costs most of the time.
+        hidden_layer, size = self.increment.get_submodule('0'), self.config.lstm_size
+        weight, bias = (hidden_layer.get_parameter(name) for name in ('weight', 'bias'))
+        of_state = weight[:, :size]
         features = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
         latest = slots.latest()[..., None].expand(-1, -1, features.shape[-1])
         seen = features.gather(0, latest)
-        if self.config.frame_context:
-            direct = direct + self.context(seen)
+        direct = linear(events, weight[:, size:], bias) + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
         shown, drives, directs = (
-            each.unbind(0) for each in (self.frame.head(features[1:])[..., 0], drive, direct)
+            each.unbind(0) for each in (self.frame(features[1:]), drive, direct)
         )
         hidden, cell, offset = state.hidden, state.cell, state.offset
         past = list(state.history.unbind(0))
@@ -258,23 +229,6 @@ class FgerNetwork(nn.Module):
         history = torch.stack(past[-self.config.history_windows :])
         last = SequenceState(hidden, cell, history, offset, seen[-1])
         return Course(torch.stack(forces), last)
-
-    def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
-        """Split the hidden layer of MLP_df: the loop over windows costs most of the time.
-
-        Returns:
-            What events and bias contribute in each window, [T, B, mlp_size], and the weights of
-            the recurrent state, [mlp_size, lstm_size].
-        """
-        weight, bias = (
-            self.increment.get_parameter('0.weight'),
-            self.increment.get_parameter('0.bias'),
-        )
-        size = self.config.lstm_size
-        direct = bias.expand(*events.shape[:-1], -1)
-        if self.config.event_shortcut:
-            direct = linear(events, weight[:, size:], bias)
-        return direct, weight[:, :size]
 
     def _exposed(self, past: list[Tensor], slots: FrameSlots) -> Tensor:
         """Return the sum of the increments [B] at the centre of the exposure of the frames."""

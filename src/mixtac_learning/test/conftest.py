@@ -13,7 +13,7 @@ import torch
 
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import network_of
-from mixtac_learning.train.frame_stage import Sequences, stack
+from mixtac_learning.train.sequences import Sequences, stack
 from mixtac_learning.trials.samples import make_sample
 from mixtac_learning.trials.trial import ForceLabel, TrialArrays
 

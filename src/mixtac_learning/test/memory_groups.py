@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_learning.train.frame_fit import Frames
 from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 if TYPE_CHECKING:
-    from mixtac_learning.train.frame_stage import Sequences
+    from mixtac_learning.train.sequences import Sequences
     from mixtac_learning.trials.trial import TrialArrays
 
 
@@ -27,9 +28,13 @@ class Groups(list):
     def length(self) -> int:
         return len(self[0].force)
 
-    @property
-    def frames(self) -> list[int]:
-        return [len(each.frame_force) for each in self]
+    def frames(self) -> Frames:
+        parts = [
+            (each.frame_moments, each.frame_force, each.frame_across, each.device[each.frame_trial])
+            for each in self
+        ]
+        arrays = [np.concatenate(part) for part in zip(*parts, strict=True)]
+        return Frames(*(each.astype(np.float64) for each in arrays[:3]), arrays[3])
 
     def load(self, index: int) -> Sequences:
         return self[index]

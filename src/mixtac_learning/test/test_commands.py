@@ -57,7 +57,7 @@ def simulated(monkeypatch, trial) -> list[str]:
 
 RUN = """model: ours
 judged: 1
-training: {{seed: 1, frame_epochs: 2, recurrent_epochs: 1, joint_epochs: 1}}
+training: {{seed: 1, recurrent_epochs: 2}}
 data:
   simulated: {{presets: [easy], sensors: 3, trials: 3, seconds: 6.0, seed: 1}}
   cache: {cache}
@@ -82,7 +82,7 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
     assert kept == sorted(simulated[:3])
     curves = json.loads((tmp_path / 'run' / 'curves.json').read_text())['epochs']
     stages = [row['stage'] for row in curves]
-    assert stages == ['frames', 'frames', 'recurrent', 'joint']
+    assert stages == ['recurrent', 'recurrent']
     picture = tmp_path / 'trials.png'
     training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
     figures = json.loads(report.read_text())['metrics']['unseen_devices']
@@ -94,7 +94,7 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
 def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial, monkeypatch):
     """The bags are of a gel twice as stiff as the one that the model was trained on."""
     stiff = replace(trial, truth=ForceLabel(trial.truth.t_us, 2.0 * trial.truth.force))
-    for name, value in (('frame_rate', 1e-2), ('recurrent_rate', 3e-3), ('recurrent_epochs', 3)):
+    for name, value in (('recurrent_rate', 3e-3), ('recurrent_epochs', 3)):
         monkeypatch.setitem(ADAPTING, name, value)
     monkeypatch.setattr(BagSource, 'load', lambda bag: replace(stiff, origin=bag.origin))
     monkeypatch.setattr(BagSource, 'content_key', lambda bag: bag.name)
@@ -113,8 +113,8 @@ def test_a_model_is_adapted_to_bags_and_judged_before_and_after(tmp_path, trial,
     changed = {
         n for n, value in model.tensors.items() if not np.array_equal(value, start.tensors[n])
     }
-    assert {'frame.head.weight', 'increment.2.weight'} <= changed
-    assert not [n for n in changed if n.startswith(('frame.convolutions', 'shear.'))]
+    assert {'frame.press', 'increment.2.weight'} <= changed
+    assert not [n for n in changed if n.startswith(('frame.spread', 'shear.'))]
 
 
 def test_a_single_bag_and_networks_of_the_paper_are_not_adapted(tmp_path, trial, monkeypatch):
@@ -143,10 +143,10 @@ def test_the_weights_of_a_model_that_cannot_be_judged_are_written(
         return SimpleNamespace(**vars(found) | {'truth': truth})
 
     monkeypatch.setattr(generation, 'simulate', untouched)
-    out, brief = tmp_path / 'small.safetensors', {'frame_epochs': 1, 'recurrent_epochs': 1}
+    out = tmp_path / 'small.safetensors'
     config = RunConfig(
         out=str(out),
-        training={**brief, 'joint_epochs': 0},
+        training={'recurrent_epochs': 1},
         data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.0),
         judged=1,
     )
@@ -161,7 +161,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     config = tmp_path / 'run.yaml'
     config.write_text(
         'model: ours\n'
-        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0}\n'
+        'training: {recurrent_epochs: 1}\n'
         'data:\n'
         '  simulated: {presets: [easy], sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
         '  checked: 0.34\n'
@@ -169,7 +169,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     chosen = with_overrides(read_run_config(str(config)), None, 3, tmp_path / 'data')
     assert chosen.training['seed'] == 3
     first = train_model(chosen, tmp_path / 'run')
-    assert [row['validation'] is not None for row in first.curves] == [True, True]
+    assert [row['validation'] is not None for row in first.curves] == [True]
     assert (first.model.card.training['trials'], first.model.card.training['held_out_trials']) == (
         2,
         1,
@@ -268,8 +268,8 @@ def test_impossible_runs_are_refused(tmp_path, text):
 @pytest.mark.parametrize(
     ('settings', 'name', 'value'),
     [
-        (TrainingSettings, 'frame_batch', 0),
-        (TrainingSettings, 'frame_epochs', -1),
+        (TrainingSettings, 'group_trials', 0),
+        (TrainingSettings, 'recurrent_epochs', -1),
         (PaperTraining, 'event_batch', 1),
         (PaperTraining, 'frame_rate', float('nan')),
     ],

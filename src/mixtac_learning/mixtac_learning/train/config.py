@@ -40,48 +40,27 @@ class TrainingSettings:
 
     Attributes:
         seed: Random seed for initial weights, order and mirroring of the data.
-        frame_epochs: Epochs of the frame network alone.
-        recurrent_epochs: Epochs of the recurrent path on the frozen frame network.
-        joint_epochs: Epochs of both together.
-        frame_batch: Frames per update.
-        chunk_windows: Windows per update of the recurrent path: gradients do not reach further.
-        frame_rate: Largest learning rate of the frame stage.
-        recurrent_rate: Largest learning rate of the recurrent stage.
-        joint_rate: Largest learning rate of the joint stage.
+        recurrent_epochs: Epochs of the recurrent path.
+        chunk_windows: Windows per update: gradients do not reach further.
+        recurrent_rate: Largest learning rate.
         weight_decay: Weight decay of AdamW.
         loss_knee_n: Errors above this count linearly, below it quadratically [N]; a fifth of it
-            near no force (`mixtac_learning.train.frame_stage.force_loss`).
-        gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
-            `NetworkWithGains`.
-        moments_prior: Weight in the loss of the mean square of what the convolutions add to the
-            forces of moments [1/N]; a sensor's gain would otherwise absorb the effect of its
-            indenter.
-        convolution_share: Share of the convolutions' features, less their value at rest, that the
-            normal force keeps after the last stage; 1 for all. On sensors that differ from the
-            trained ones they add an error. A trained network that is adapted stays as it is.
+            near no force (`mixtac_learning.train.sequences.force_loss`).
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.
-        blow_every: Number of updates of the recurrent path between updates on impacts only, cut out
-            of the trials (`mixtac_learning.train.stages`); 0 for none.
+        blow_every: Number of updates between updates on impacts only, cut out of the trials
+            (`mixtac_learning.train.stages`); 0 for none.
         group_trials: Trials in memory at a time.
         patience: Epochs without a better validation error after which a stage ends; 0 for never.
     """
 
     seed: int = 0
-    frame_epochs: int = 30
     recurrent_epochs: int = 60
-    joint_epochs: int = 10
-    frame_batch: int = 128
     chunk_windows: int = 100
-    frame_rate: float = 2e-3
     recurrent_rate: float = 3e-3
-    joint_rate: float = 5e-4
     weight_decay: float = 1e-3
     loss_knee_n: float = 0.05
-    gain_prior: float = 0.01
-    moments_prior: float = 1.0
-    convolution_share: float = 1.0
     mirror: bool = True
     force_weight: float = 0.0
     blow_every: int = 0
@@ -94,7 +73,7 @@ class TrainingSettings:
         Raises:
             ConfigError: One is too small.
         """
-        check_settings(self, {'frame_batch': 1, 'chunk_windows': 1, 'group_trials': 1})
+        check_settings(self, {'chunk_windows': 1, 'group_trials': 1})
 
 
 OURS = 'ours'
@@ -213,11 +192,8 @@ def read_run_config(name: str) -> RunConfig:
 
 
 ADAPTING = {
-    'frame_epochs': 10,
-    'frame_rate': 1e-3,
     'recurrent_epochs': 10,
     'recurrent_rate': 3e-4,
-    'joint_epochs': 0,
 }
 """Training settings of `--start`: small steps, from weights that are good already."""
 HELD_BACK = 0.2

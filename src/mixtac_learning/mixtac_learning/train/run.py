@@ -28,8 +28,8 @@ from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperSample, paper_recipe
 from mixtac_learning.train import loop
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
-from mixtac_learning.train.frame_stage import DiskGroups
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
+from mixtac_learning.train.sequences import DiskGroups
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import TrialSource, bag_sources
 from mixtac_learning.trials.samples import Recipe, fger_recipe, load_sample, prepare

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training FGER-Net in stages: frame network, recurrent path, both together.
+"""Training FGER-Net: the forces of frames are fitted first, then events learn the changes.
 
 In training the force is that of the latest frame plus the increments since its exposure, without
 the gains of the sensor's events. The deviations are fitted afterwards, on trials that were not
@@ -11,7 +11,7 @@ caused by an unknown stiffness belongs to the deviation.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -20,10 +20,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mixtac_fger.config import MOMENTS, FgerConfig
+from mixtac_fger.config import PRESSES, FgerConfig
 from mixtac_fger.fger_net import SPREAD_WINDOWS
+from mixtac_fger.moments import FlowMoments
 from mixtac_fger.recurrent_network import RecurrentPath
-from mixtac_fger.shear import FlowMoments, ShearHead
+from mixtac_fger.shear import ShearHead
 from mixtac_learning.network import (
     FgerNetwork,
     FrameSlots,
@@ -32,22 +33,17 @@ from mixtac_learning.network import (
     usual_device,
 )
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.frame_stage import (
+from mixtac_learning.train.frame_fit import fit_frames
+from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop, average_weights
+from mixtac_learning.train.sequences import (
     DiskGroups,
-    FgerStage,
     Flip,
-    FrameStage,
-    NetworkWithGains,
     Sequences,
     draw_flips,
-    encode,
+    features_of,
     force_loss,
-    frame_features,
-    frame_parameters,
-    mean_error,
     mirror_events,
 )
-from mixtac_learning.train.loop import TrainingError, TrainingLoop, average_weights, mean
 
 
 @torch.no_grad()
@@ -57,33 +53,10 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     Returns:
         Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
     """
-    frames = encode(network, sequences)
+    frames = features_of(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
     course = network(sequences.event_features.float(), frames, sequences.slots, state)
-    return course.force, network.frame.force(frames)
-
-
-@torch.no_grad()
-def share_convolutions(network: FgerNetwork, share: float) -> None:
-    """Keep a share of the convolutions' features in the normal force, in place.
-
-    Every layer of the normal force that reads their features of a frame reads them as
-    rest + share (features - rest). What gives sideways force and torsion stays as it is.
-
-    Args:
-        network: Trained; its forces are moments with corrections by convolutions.
-        share: 1 changes nothing; 0 leaves the features at rest.
-    """
-    frame, config = network.frame, network.config
-    still = frame.mean.new_zeros(1, len(config.frame_channels), *config.frame_shape)
-    rest = torch.relu(frame.project(frame.convolutions(still).flatten()))
-    readers: list[tuple[nn.Module, nn.Module]] = [(frame.head, frame.head)]
-    if config.frame_context:
-        readers.append((network.context, network.increment.get_submodule('0')))
-    for layer, biased in readers:
-        weight = layer.get_parameter('weight')[:, : config.frame_size]
-        biased.get_parameter('bias').add_((1.0 - share) * (weight @ rest))
-        weight.mul_(share)
+    return course.force, network.frame(frames)
 
 
 IMPACT_N = 3.0
@@ -143,32 +116,36 @@ SMALL = 0.1
 
 
 @dataclass(eq=False)
-class SequenceStage(FgerStage):
+class SequenceStage(Stage):
     """Truncated back-propagation through all sequences of a group side by side.
 
-    The gains stay as they are; the frame network learns in the stage `joint` only.
+    Attributes:
+        network: Its frames have been fitted.
+        gains: Of each sensor, of `mixtac_learning.train.frame_fit.fit_frames`.
+        groups: Trials to train on.
+        settings: Settings of the run.
+        checked: Validation trials; None for none.
+        adapts: Whether a trained network is adapted.
     """
 
-    _features: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
-
-    @property
-    def joint(self) -> bool:
-        """Whether the frame network learns as well."""
-        return self.name == 'joint'
+    network: FgerNetwork
+    gains: Tensor
+    groups: DiskGroups
+    settings: TrainingSettings
+    checked: DiskGroups | None
+    adapts: bool
 
     @torch.no_grad()
     def begin(self) -> None:
         """Let the force follow the frames at first: the increments begin small."""
-        if not self.joint and not self.model.adapts:
-            last = self.model.network.increment.get_submodule('2')
+        if not self.adapts:
+            last = self.network.increment.get_submodule('2')
             last.get_parameter('weight').mul_(SMALL)
             last.get_parameter('bias').zero_()
 
     def parameters(self) -> list[nn.Parameter]:
         """Return what is trained."""
-        network = self.model.network
-        without = set() if self.joint else {id(p) for p in frame_parameters(network)}
-        return [p for p in network.parameters() if id(p) not in without]
+        return list(self.network.parameters())
 
     def updates(self) -> int:
         """Return the usual number of updates per epoch."""
@@ -178,71 +155,54 @@ class SequenceStage(FgerStage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch, group by group in random order."""
+        network = self.network
         for group in torch.randperm(len(self.groups), generator=random).tolist():
-            sequences = self.groups.load(group).to(self.model.device)
+            sequences = self.groups.load(group).to(self.gains.device)
             flip = draw_flips(self.settings, random)
-            frozen = None
-            if not self.joint:
-                # Features are small and stay what they are: kept for all groups.
-                if (group, flip) not in self._features:
-                    found = encode(self.model.network, sequences, flip)
-                    self._features[group, flip] = found
-                frozen = self._features[group, flip]
-            state = self.model.network.initial_state(sequences.force.shape[1])
+            frames = features_of(network, sequences, flip)
+            state = network.initial_state(sequences.force.shape[1])
             cut_out = impacts(sequences) if self.settings.blow_every else None
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
                     # Each impact from no contact on.
-                    begin = self.model.network.initial_state(cut_out.force.shape[1])
-                    yield self._run(cut_out, slice(None), frozen, flip, begin)[0]
-                loss, state = self._run(sequences, slice(start, stop), frozen, flip, state)
+                    begin = network.initial_state(cut_out.force.shape[1])
+                    yield self._run(cut_out, slice(None), frames, flip, begin)[0]
+                loss, state = self._run(sequences, slice(start, stop), frames, flip, state)
                 yield loss
                 # Truncated back-propagation: the gradient ends here.
                 state = state.detach()
 
     def _run(
-        self,
-        sequences: Sequences,
-        windows: slice,
-        frozen: Tensor | None,
-        flip: Flip,
-        state: SequenceState,
+        self, sequences: Sequences, windows: slice, frames: Tensor, flip: Flip, state: SequenceState
     ) -> tuple[Tensor, SequenceState]:
-        """Run a stretch with the features of its frames, or with gradients through them.
+        """Run a stretch. Forces count more the larger they are, as impacts are short.
 
-        With gradients the loss of the sideways force that the frames show is added. Forces count
-        more the larger they are, as impacts are short. An estimate that is larger than the force
-        counts as such a force would: if the force alone weighed, the expected loss were least at
-        estimates that are too large.
+        An estimate that is larger than the force counts as such a force would: if the force alone
+        weighed, the expected loss were least at estimates that are too large.
 
         Returns:
             The mean loss, and the state after the stretch.
         """
-        network, settings = self.model.network, self.settings
         slots = FrameSlots(*(part[windows] for part in sequences.slots))
-        frames, aside = frozen, sequences.force.new_zeros(())
-        if frames is None:
-            used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
-            frames = frame_features(network, sequences, used, flip)
-            slots = FrameSlots(torch.where(slots.frame >= 0, index, -1), slots.lag)
-            aside = self.model.across_loss(sequences, used, frames, flip, settings.loss_knee_n)
         events = mirror_events(sequences.event_features[windows].float(), *flip)
-        course = network(events, frames, slots, state)
+        course = self.network(events, frames, slots, state)
         valid, known = sequences.valid[windows], sequences.force[windows]
-        force = self.model.gains[sequences.device, 0] * course.force
-        errors = force_loss(force, known, settings.loss_knee_n)
+        force = self.gains[sequences.device, 0] * course.force
+        errors = force_loss(force, known, self.settings.loss_knee_n)
         larger = torch.maximum(known.abs(), force.detach().abs())
-        weights = valid * (1.0 + settings.force_weight * larger)
-        loss = (errors * weights).sum() / weights.sum().clamp(min=1.0) + aside
-        return loss, course.state
+        weights = valid * (1.0 + self.settings.force_weight * larger)
+        return (errors * weights).sum() / weights.sum().clamp(min=1.0), course.state
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
-        return mean_error(
-            self.checked,
-            self.model.device,
-            lambda held: (estimate(self.model.network, held)[0] - held.force)[held.valid],
-        )
+        if self.checked is None:
+            return None
+        total, count = 0.0, 0
+        for index in range(len(self.checked)):
+            held = self.checked.load(index).to(self.gains.device)
+            errors = (estimate(self.network, held)[0] - held.force)[held.valid]
+            total, count = total + float(errors.abs().sum()), count + len(errors)
+        return total / count
 
     def _chunks(self, length: int, random: torch.Generator) -> Iterator[tuple[int, int]]:
         """Yield the stretches of one epoch; the first is cut at random so that borders move."""
@@ -275,14 +235,12 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
         sequences: Trials.
     """
     config, tensors = network.config, arrays_of(network)
-    frames = encode(network, sequences)
-    forces = network.frame.force(frames).cpu().numpy()
+    frames = features_of(network, sequences)
+    forces = network.frame(frames).cpu().numpy()
     features, events, frame, lags = (
         part.cpu().numpy() for part in (frames, sequences.event_features.float(), *sequences.slots)
     )
-    spread, head = tensors.get('frame.spread'), tensors['frame.head.weight'][0, -MOMENTS:]
-    moments = None if spread is None else FlowMoments(config, spread)
-    press, found = np.zeros((*config.grid_shape, 2)), np.zeros((*events.shape[:2], 8), np.float32)
+    moments, found = FlowMoments(config, tensors['frame.spread']), np.zeros((*events.shape[:2], 8))
     for trial in range(events.shape[1]):
         path = RecurrentPath(config, tensors)
         shear = ShearHead(config, tensors) if config.shear else None
@@ -290,26 +248,19 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
             if (row := int(frame[window, trial])) >= 0:
                 lag = int(lags[window, trial])
                 path.correct(float(forces[row]), lag)
-                if moments is not None:
-                    per_flow = moments.per_flow(features[row])
-                    press = np.tensordot(head, per_flow, 1)
-                    if shear is not None:
-                        shear.correct(shear.measure(features[row], per_flow), lag, SPREAD_WINDOWS)
+                per_flow = moments.per_flow(features[row])
+                if shear is not None:
+                    shear.correct(shear.measure(features[row], per_flow), lag, SPREAD_WINDOWS)
+                press = np.tensordot(tensors['frame.press'], per_flow[:PRESSES], 1)
                 path.see(features[row], press)
             path.step(events[window, trial])
             found[window, trial, :2] = path.force, path.moved
             if shear is not None:
                 shear.step(events[window, trial])
                 found[window, trial, 2:] = shear.course.ravel()
-    force, moved, across = np.split(found, [1, 2], axis=-1)
+    force, moved, across = np.split(found.astype(np.float32), [1, 2], axis=-1)
     across = across.reshape(*across.shape[:-1], 2, 3)
     return LiveCourse(*(torch.from_numpy(each) for each in (force[..., 0], moved[..., 0], across)))
-
-
-def has_across(groups: DiskGroups) -> bool:
-    """Return whether the force across the normal is known anywhere in the trials."""
-    loaded = (groups.load(index) for index in range(len(groups)))
-    return any(bool(torch.isfinite(each.across[each.valid]).any()) for each in loaded)
 
 
 COVERED = 0.6827
@@ -325,7 +276,7 @@ def calibrate_deviations(network: FgerNetwork, groups: DiskGroups) -> None:
     Args:
         network: Trained.
         groups: Trials that were not trained on, as errors of others are too small; sideways forces
-            are fitted where they are known.
+            are fitted where they are known, in contact.
     """
     normal, across, trials = [], [], 0
     for index in range(len(groups)):
@@ -337,7 +288,9 @@ def calibrate_deviations(network: FgerNetwork, groups: DiskGroups) -> None:
         normal.append(torch.stack([force, moved, force - known], -1))
         trials += kept.shape[1]
         if network.config.shear:
-            kept = kept & torch.isfinite(sequences.across.cpu()).all(-1)
+            # Without contact both are zero, and so would be the floor.
+            touched = sequences.force.cpu() > RELEASED_N
+            kept = kept & touched & torch.isfinite(sequences.across.cpu()).all(-1)
             value, moved = found.across[kept].unbind(1)
             across.append(torch.stack([value, moved, value - sequences.across.cpu()[kept]], -1))
     fitted = _floor_and_shares(torch.cat(normal).double().numpy(), trials)
@@ -386,11 +339,11 @@ def train_fger(
     start: FgerNetwork | None = None,
     **options: Any,  # noqa: ANN401
 ) -> tuple[FgerNetwork, list[dict[str, Any]]]:
-    """Run all stages and return the network, on the CPU in evaluation mode, and the curves.
+    """Fit and train a network; returns it, on the CPU in evaluation mode, and the curves.
 
     Args:
         config: Network configuration.
-        settings: Stages and rates.
+        settings: Epochs and rates.
         groups: Trials to train on.
         checked: Trials to validate on; None for none.
         start: Trained network to adapt; None for random weights.
@@ -399,42 +352,43 @@ def train_fger(
     Raises:
         TrainingError: As `TrainingLoop.run`, or no trial has what `FgerConfig.shear` learns from.
     """
-    learns_across = config.shear and start is None
-    if learns_across and not mean(torch.tensor(float(has_across(groups)))):
+    frames, learns_across = groups.frames(), config.shear and start is None
+    if learns_across and not frames.known.any():
         raise TrainingError(
             'network.shear is set, but the sideways force of no trial is known: only simulated'
             ' trials hold it',
             remedy='set network.shear to false, or name simulated trials as well',
         )
     torch.manual_seed(settings.seed)
-    model = NetworkWithGains(config, groups.devices, start)
+    network = FgerNetwork(config) if start is None else start
+    gains = fit_frames(network, frames, adapts=start is not None)
     if start is None:
-        model.fit_scales(groups.load(0))
-    average_weights(model)
-    model.to(usual_device())
+        first = groups.load(0)
+        events = first.event_features[first.valid].float().flatten(0, -2)
+        network.event.scale.copy_(events.square().mean(0).sqrt().clamp(min=1e-3))
+    average_weights(network)
+    device = usual_device()
     loop = TrainingLoop(
-        model,
+        network.to(device),
         seed=settings.seed,
         weight_decay=settings.weight_decay,
         patience=settings.patience,
         **options,
     )
-    plan: list[tuple[type[FgerStage], str, int, float]] = [
-        (FrameStage, 'frames', settings.frame_epochs, settings.frame_rate),
-        (SequenceStage, 'recurrent', settings.recurrent_epochs, settings.recurrent_rate),
-        (SequenceStage, 'joint', settings.joint_epochs, settings.joint_rate),
-    ]
-    loop.run(
-        [
-            kind(name, epochs, rate, model, groups, settings, checked)
-            for kind, name, epochs, rate in plan
-        ]
+    stage = SequenceStage(
+        'recurrent',
+        settings.recurrent_epochs,
+        settings.recurrent_rate,
+        network,
+        gains.to(device),
+        groups,
+        settings,
+        checked,
+        adapts=start is not None,
     )
-    network = model.network.eval()
-    if config.reads_flow and start is None:
-        # Not before: the stages would learn it back. A network to start from has been through it.
-        share_convolutions(network, settings.convolution_share)
-    if checked is None or (learns_across and not has_across(checked)):
+    loop.run([stage])
+    network.eval()
+    if checked is None or (learns_across and not checked.frames().known.any()):
         checked = groups
     calibrate_deviations(network, checked)
     return network.cpu(), loop.progress.curves

@@ -179,8 +179,7 @@ class Sample:
         across: Sideways force x, y [N] and torsion [N mm] there, nan if unknown, float32 [T, 3].
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
-        frame_inputs: float16 [N, channels, rows, columns].
-        frame_moments: Moments of each frame (`mixtac_fger.shear`), float32 [N, 9 or 0].
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 13].
         frame_force: Mean label over each exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.
@@ -192,7 +191,6 @@ class Sample:
     across: NDArray[np.float32]
     slots: NDArray[np.int64]
     lags: NDArray[np.int64]
-    frame_inputs: NDArray[np.float16]
     frame_moments: NDArray[np.float32]
     frame_force: NDArray[np.float32]
     frame_across: NDArray[np.float32]
@@ -239,7 +237,7 @@ def make_sample(config: FgerConfig, trial: TrialArrays) -> Sample:
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
         for end, slot in zip(ends, slots, strict=True)
     ]
-    inputs, moments, features = _features(config, trial, ends, slots, labelled)
+    moments, features = _features(config, trial, ends, slots, labelled)
     return Sample(
         window_end_us=ends,
         event_features=features,
@@ -247,7 +245,6 @@ def make_sample(config: FgerConfig, trial: TrialArrays) -> Sample:
         across=_across(trial, ends),
         slots=np.where(slots >= 0, slots - first, -1),
         lags=np.array(lags, np.int64),
-        frame_inputs=inputs,
         frame_moments=moments,
         frame_force=forces[labelled],
         frame_across=_across(trial, middle[labelled]),
@@ -268,19 +265,16 @@ def _features(
     ends: NDArray[np.int64],
     slots: NDArray[np.int64],
     frames: NDArray[np.int64],
-) -> tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float16]]:
-    """Return inputs and moments of some frames, and the event features."""
+) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
+    """Return the moments of some frames, and the event features."""
     preparation, window = FramePreparation(config), WindowFeatures(config)
     kept = config.reference_frames
     first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
     reference = mean_contrast([c.coarse for c in first])
-    channels = len(config.frame_channels)
-    inputs = np.empty((len(frames), channels, *config.frame_shape), STORED)
-    moments = []
-    for index, frame in enumerate(frames):
-        contrast = preparation.contrast(trial.frames[frame])
-        inputs[index] = preparation.network_input(contrast, reference)
-        moments.append(preparation.moments())
+    moments = [
+        preparation.compare(preparation.contrast(trial.frames[frame]), reference)
+        for frame in frames
+    ]
     out = np.zeros(window.shape, np.float32)
     features = np.empty((len(ends), *window.shape), STORED)
     guide = preparation.guide(first[-1])
@@ -290,19 +284,15 @@ def _features(
             guide = preparation.guide(preparation.contrast(trial.frames[slot]))
         light = window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
         features[index] = 0.0 if light else out
-    return inputs, np.stack(moments), features
+    return np.stack(moments), features
 
 
 UNSEEN_BY_SAMPLES = {
     'reference_stillness',
     'event_hidden',
     'event_size',
-    'frame_widths',
-    'frame_size',
     'lstm_size',
     'mlp_size',
-    'event_shortcut',
-    'frame_context',
     'force_unit',
     'shear',
     'history_windows',
@@ -313,4 +303,4 @@ UNSEEN_BY_SAMPLES = {
 def fger_recipe(config: FgerConfig) -> Recipe:
     """Return the recipe of the samples of FGER-Net."""
     kept = {name: v for name, v in config.to_dict().items() if name not in UNSEEN_BY_SAMPLES}
-    return Recipe('fger', config, make_sample, {'kind': 'fger 9'} | kept)
+    return Recipe('fger', config, make_sample, {'kind': 'fger 10'} | kept)

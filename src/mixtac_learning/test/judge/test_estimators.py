@@ -11,7 +11,7 @@ import pytest
 
 from mixtac_fger.recurrent_network import EventGains
 from mixtac_learning.judge.estimators import stream, windows_of
-from mixtac_learning.train.frame_stage import stack
+from mixtac_learning.train.sequences import stack
 from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
 from mixtac_learning.trials.trial import ForceLabel

@@ -13,15 +13,8 @@ from memory_groups import Groups
 
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.frame_stage import (
-    NetworkWithGains,
-    Sequences,
-    beside_moments,
-    encode,
-    follow_moments,
-    stack,
-)
 from mixtac_learning.train.loop import TrainingError
+from mixtac_learning.train.sequences import Sequences, features_of, stack
 from mixtac_learning.train.stages import (
     COVERED,
     WINDOWS_AFTER,
@@ -30,12 +23,11 @@ from mixtac_learning.train.stages import (
     estimate,
     impacts,
     live_course,
-    share_convolutions,
     train_fger,
 )
 from mixtac_learning.trials.samples import make_sample
 
-SHORT = TrainingSettings(frame_epochs=5, recurrent_epochs=3, joint_epochs=1, frame_batch=16)
+SHORT = TrainingSettings(recurrent_epochs=8)
 
 
 def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, float]:
@@ -54,11 +46,7 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
     stages: list = []
     show = lambda *row: stages.append(row)  # noqa: E731
     network, _ = train_fger(config, SHORT, Groups([trained]), show=show)
-    assert [row[:3] for row in stages if row[1] == row[2]] == [
-        ('frames', 5, 5),
-        ('recurrent', 3, 3),
-        ('joint', 1, 1),
-    ]
+    assert [row[:3] for row in stages if row[1] == row[2]] == [('recurrent', 8, 8)]
     for sequences in (trained, other):
         fused, frames, constant = errors(network, sequences)
         assert frames < 0.5 * constant
@@ -66,7 +54,7 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
 
 
 def test_the_same_seed_gives_the_same_weights(config, toy_sequences):
-    brief = replace(SHORT, frame_epochs=1, recurrent_epochs=1)
+    brief = replace(SHORT, recurrent_epochs=1)
     groups = Groups([toy_sequences[1]])
     runs = [train_fger(config, brief, groups)[0].state_dict() for _ in range(2)]
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
@@ -79,7 +67,7 @@ def test_running_in_stretches_equals_running_at_once(config, toy_sequences):
     sequences = toy_sequences[1]
     network = FgerNetwork(config)
     whole, _ = estimate(network, sequences)
-    features, state = encode(network, sequences), network.initial_state(2)
+    features, state = features_of(network, sequences), network.initial_state(2)
     parts = []
     with torch.no_grad():
         for start in range(0, len(whole), 37):
@@ -119,68 +107,12 @@ def test_trials_without_blows_give_none(sequences):
     assert impacts(replace(sequences, force=torch.ones_like(sequences.force))) is None
 
 
-def test_frames_begin_with_the_forces_of_their_moments(config, trial):
-    torch.manual_seed(1)
-    model = NetworkWithGains(replace(config, shear=True), 1)
-    network = model.network
-    known = stack([make_sample(config, trial)])
-    moments = torch.randn(known.frame_moments.shape)
-    across = torch.stack([2.0 * moments[:, 1] + moments[:, 3], 2.0 * moments[:, 2] + moments[:, 4]])
-    across = torch.cat([across.T, torch.zeros(len(moments), 1)], dim=1)
-    across[0] = torch.nan
-    known = replace(
-        known, frame_moments=moments, frame_force=-0.5 * moments[:, 0], frame_across=across
-    )
-    model.fit_scales(known)
-    follow_moments(network, known)
-    with torch.no_grad():
-        features = network.frame(known.frame_inputs.float(), moments)
-        torch.testing.assert_close(network.frame.force(features), known.frame_force)
-        shown = network.shear.shown(features)[1:, :2]
-        torch.testing.assert_close(shown, across[1:, :2], rtol=1e-4, atol=1e-4)
-        assert beside_moments(network, features) == 0.0
-        network.frame.head.bias += 3.0
-        torch.testing.assert_close(beside_moments(network, features), torch.tensor(3.0))
-
-
-def test_a_share_of_the_convolutions_is_left(config):
-    torch.manual_seed(1)
-    network = FgerNetwork(replace(config, shear=True))
-    trained = {name: value.clone() for name, value in network.state_dict().items()}
-    frames = torch.randn(6, len(config.frame_channels), *config.frame_shape)
-    frames[0] = 0.0
-    features = network.frame(frames, torch.zeros(6, 9))
-    found = {}
-    for share in (1.0, 0.5, 0.0):
-        network.load_state_dict(trained)
-        share_convolutions(network, share)
-        changed = {n for n, value in network.state_dict().items() if not value.equal(trained[n])}
-        assert not [n for n in changed if n.startswith(('frame.conv', 'frame.project', 'shear.'))]
-        event = network.increment[0].bias + network.context(features)
-        found[share] = torch.cat([network.frame.force(features)[:, None], event], dim=1)
-    torch.testing.assert_close(found[0.5], (found[1.0] + found[0.0]) / 2.0)
-    torch.testing.assert_close(found[0.0], found[1.0][:1].expand(6, -1))
-    assert changed
-    assert (found[1.0] - found[0.5]).abs().max() > 1e-3
-
-
-def test_the_convolutions_are_scaled_at_the_end_of_a_training_only(config, toy_sequences):
-    none = {f'{stage}_epochs': 0 for stage in ('frame', 'recurrent', 'joint')}
-    settings, groups = TrainingSettings(**none, convolution_share=0.0), Groups([toy_sequences[1]])
-    fresh, _ = train_fger(config, settings, groups)
-    assert not fresh.frame.head.weight[:, : config.frame_size].any()
-    start = FgerNetwork(config)
-    kept = start.frame.head.weight.clone()
-    adapted, _ = train_fger(config, settings, groups, start=start)
-    assert adapted.frame.head.weight.equal(kept)
-
-
 @pytest.fixture
 def shear_network(config):
     torch.manual_seed(7)
     network = FgerNetwork(replace(config, shear=True)).eval()
-    with torch.no_grad():
-        network.shear.frame.weight.mul_(0.3)
+    for constants in (network.frame.press, network.shear.pull, network.shear.turning):
+        constants.fill_(0.3)
     return network
 
 
@@ -222,7 +154,7 @@ def test_few_trials_make_them_wider(shear_network, toy_sequences):
 
 def test_the_sideways_force_is_not_trained_where_no_trial_shows_it(config, toy_sequences):
     shear = replace(config, shear=True)
-    brief = TrainingSettings(frame_epochs=1, recurrent_epochs=1, joint_epochs=0)
+    brief = TrainingSettings(recurrent_epochs=1)
     trained, other = toy_sequences
     with pytest.raises(TrainingError):
         train_fger(shear, brief, Groups([trained]))
