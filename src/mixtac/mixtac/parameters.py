@@ -43,5 +43,5 @@ class SupervisorParameters:
         figure: File for a figure of the latest impact; empty for none.
     """
 
-    knock_every: float = fixed(4.0, unit='s', within=(0.0, 3600.0))
+    knock_every: float = fixed(1.0, unit='s', within=(0.0, 3600.0))
     figure: str = fixed('')

@@ -25,14 +25,15 @@ from mixtac.figures import FORCE, REFERENCE, new_axes, save_figure
 from mixtac.parameters import SupervisorParameters
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import QOS_SENSOR, BaseNode, declare, run
+from mixtac_core.node.process import GraphError
 from mixtac_msgs.msg import ForceQuality, SlipState
 
 HEARTBEAT_PERIOD_S: Final = 0.1
-REQUEST_PERIOD_S: Final = 0.3
-"""Time between two requests to slip control or to the simulation [s]."""
-GRIP_S: Final = 1.6
+GRIP_S: Final = 0.7
 """Time in which the object is gripped anew after it was put back [s]."""
-STEADY_S: Final = 0.8
+PATIENCE_S: Final = 10.0
+"""Time after which slip control that cannot be enabled is an error [s]."""
+STEADY_S: Final = 0.5
 """Slip control is enabled for this time before an impact, so that it has pressed [s]."""
 REARM_S: Final = 0.5
 """Time from an impact until its result is reported [s]."""
@@ -51,7 +52,7 @@ class Phase(Enum):
 
     ZERO = 'the estimator learns the picture of the untouched skin'
     GRIP = 'the object is gripped'
-    ENABLE = 'slip control learns the background of the grasp and is enabled'
+    ENABLE = 'slip control becomes ready and is enabled'
     HOLD = 'slip control is enabled; the object is struck soon'
     IMPACT = 'the object was struck'
 
@@ -133,11 +134,10 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._forces: deque[tuple[float, float]] = deque(maxlen=1000)
         self._place = (0.0, 0.0)
         self._grasp_n = math.nan
-        self._since_s = self._requested_s = self._struck_s = 0.0
+        self._since_s = self._struck_s = 0.0
         self._heartbeat = self.create_publisher(Empty, 'slip_control/heartbeat', QOS_SENSOR)
         self._enable = self.create_client(SetBool, 'slip_control/enable')
         self._reset = self.create_client(Trigger, 'slip_control/reset')
-        self._tare = self.create_client(Trigger, 'slip_control/tare')
         self._knock = self.create_client(Trigger, 'virtual_grasp/knock')
         self._put_back = self.create_client(Trigger, 'virtual_grasp/put_back')
         self._enter(Phase.ZERO)
@@ -147,12 +147,21 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.TRUTH_WRENCH, self._on_force)
         self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
 
+    def check(self) -> None:
+        """Check that slip control can be enabled.
+
+        Raises:
+            GraphError: It cannot; the message names the reason.
+        """
+        if self._phase is Phase.ENABLE and self._now_s() - self._since_s > PATIENCE_S:
+            raise GraphError(f'slip control stays off: {self._slip.reason}', remedy='start again')
+
     def close(self) -> None:
         """Disable slip control, and log how many impacts were held."""
         # Without a heartbeat it would stop with an error.
         self._enable.call_async(SetBool.Request(data=False))
-        held, number = sum(self._held), len(self._held)
-        self.get_logger().info(f'{held} of {number} impacts held (simulated)')
+        held = sum(self._held)
+        self.get_logger().info(f'{held} of {len(self._held)} impacts held (simulated)')
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -177,10 +186,8 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
     def _on_slip(self, message: SlipState) -> None:
         self._slip = message
         if self._phase is Phase.IMPACT:
-            impact = self._impact
-            impact.detected |= message.slipping
-            if message.state == SlipState.STOPPED:
-                impact.stopped = impact.stopped or message.reason
+            self._impact.detected |= message.slipping
+            self._impact.stopped = self._impact.stopped or message.reason
         if self._phase is Phase.ENABLE and message.state == SlipState.ENABLED:
             self._grasp_n = self._forces[-1][1] if self._forces else math.nan
             self._enter(Phase.HOLD)
@@ -190,35 +197,36 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._heartbeat.publish(Empty())
         now_s, every_s = self._now_s(), self._settings.knock_every
         elapsed_s = now_s - self._since_s
-        may_request = now_s - self._requested_s > REQUEST_PERIOD_S
         if self._phase is Phase.GRIP and elapsed_s > GRIP_S:
-            self._tare.call_async(Trigger.Request())
             self._enter(Phase.ENABLE)
-        elif self._phase is Phase.ENABLE and may_request:
-            self._requested_s = now_s
+        elif self._phase is Phase.ENABLE:
             if self._slip.state == SlipState.STOPPED:
                 self._reset.call_async(Trigger.Request())
             elif not self._slip.reason:
                 self._enable.call_async(SetBool.Request(data=True))
         elif self._phase is Phase.HOLD and self._slip.state != SlipState.ENABLED:
             self._enter(Phase.ENABLE)
-        elif self._phase is Phase.HOLD and may_request and elapsed_s > STEADY_S:
+        elif self._phase is Phase.HOLD and elapsed_s > STEADY_S:
             if now_s - self._struck_s > every_s > 0.0:
-                self._requested_s = self._struck_s = now_s
+                self._struck_s = now_s
                 self._impact = Impact(self._grasp_n, [self._place])
                 self._knock.call_async(Trigger.Request())
                 self._enter(Phase.IMPACT)
         elif self._phase is Phase.IMPACT and elapsed_s > REARM_S:
-            impact = self._impact
-            impact.forces = list(self._forces)
-            self._held.append(impact.held)
-            self.get_logger().info(str(impact))
-            # Start each impact with the same force, so that they can be compared.
-            disabled = self._enable.call_async(SetBool.Request(data=False))
             self._phase, self._since_s = Phase.GRIP, now_s
-            disabled.add_done_callback(lambda _: self._grip())
-            if self._settings.figure:
-                impact.draw(Path(self._settings.figure))
+            self._end_impact()
+
+    def _end_impact(self) -> None:
+        """Log the result of an impact, and have the object gripped anew."""
+        impact = self._impact
+        impact.forces = list(self._forces)
+        self._held.append(impact.held)
+        self.get_logger().info(str(impact))
+        # Start each impact with the same force, so that they can be compared.
+        disabled = self._enable.call_async(SetBool.Request(data=False))
+        disabled.add_done_callback(lambda _: self._grip())
+        if self._settings.figure:
+            impact.draw(Path(self._settings.figure))
 
     def _grip(self) -> None:
         self._put_back.call_async(Trigger.Request())

@@ -283,7 +283,7 @@ def slip(
     ] = 50.0,
     every: Annotated[
         float, typer.Option(min=0.0, max=3600.0, help='Least time between impacts (s); 0 for none.')
-    ] = 4.0,
+    ] = 1.0,
     preset: Preset = 'paper_like',
     seed: Annotated[
         int,
@@ -333,7 +333,7 @@ def slip(
             with Monitor(DEFAULT_NAMESPACE, processes) as monitor:
                 monitor.listen()
                 monitor.wait(
-                    lambda: monitor.values('slip_control').get('state') == 'enabled',
+                    lambda: monitor.values('slip_control').get('trajectories', '0') != '0',
                     'slip control to be enabled',
                 )
             run_until(processes, seconds)

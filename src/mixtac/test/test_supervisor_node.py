@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is logged about an object that was struck."""
+"""What is logged about an object that was struck, and the end where none can be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock
+
 from mixtac.supervisor_node import Impact
+from mixtac_core.node.base_node import QOS_FORCE
+from mixtac_msgs.msg import ForceQuality, SlipState
 
 MS = 1e-3
 
@@ -38,3 +43,21 @@ def test_an_impact_is_described_and_drawn(found, held, words, tmp_path):
     assert words in str(found)
     found.draw(tmp_path / 'impact.png')
     assert (tmp_path / 'impact.png').exists()
+
+
+@pytest.mark.dds
+def test_slip_control_that_cannot_be_enabled_ends_with_its_reason(node_under_test):
+    publish = node_under_test.node.create_publisher
+    clock = publish(Clock, '/clock', 1)
+    quality = publish(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
+    slip = publish(SlipState, '/mixtac/slip', QOS_FORCE)
+    node_under_test.start('mixtac.supervisor_node', 'use_sim_time:=true')
+    process, second = node_under_test.process, 0
+    while process.poll() is None:
+        second += 1
+        clock.publish(Clock(clock=Time(sec=second)))
+        quality.publish(ForceQuality(valid=True))
+        slip.publish(SlipState(reason='contact lost'))
+        node_under_test.executor.spin_once(timeout_sec=0.05)
+    assert process.returncode == 1
+    assert 'contact lost' in process.stderr

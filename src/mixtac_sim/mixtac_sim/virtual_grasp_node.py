@@ -39,6 +39,8 @@ from mixtac_sim.world.effects import preset
 from mixtac_sim.world.instruments import WrenchSamples
 
 PUBLISH_PERIOD_S = 2e-3
+CLOCK_PERIOD_NS = 2_000_000
+"""Simulated time between two messages on `/clock` [ns], on a slow host too."""
 SLIP_AHEAD_US = 4_000
 """Simulated time is so far beyond the last answer of slip control at most [us]: less than the lead
 of its trajectories, which therefore never reach the arm too late."""
@@ -146,9 +148,12 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         return ''
 
     def _publish_all(self) -> None:
+        due_ns = 0
         while not self._stop.wait(PUBLISH_PERIOD_S):
-            if self._clock_topic is not None:
-                self._clock_topic.publish(Clock(clock=ns_to_stamp(self._sensor.time_ns())))
+            now_ns = self._sensor.time_ns()
+            if self._clock_topic is not None and now_ns >= due_ns:
+                self._clock_topic.publish(Clock(clock=ns_to_stamp(now_ns)))
+                due_ns = now_ns + CLOCK_PERIOD_NS
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
                 self._publish_truth(batch)

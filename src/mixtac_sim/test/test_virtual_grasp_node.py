@@ -26,8 +26,8 @@ def test_what_is_struck_goes_down_in_the_contact_frame_and_drags_the_skin_along(
     graph.spin_until(lambda: places)
     assert graph.call(Trigger, '/mixtac/virtual_grasp/put_back').success
     truth.clear()
-    # A hand holds the object for 1.5 s.
-    graph.spin_until(lambda: len(truth) > 1600 and truth[-1600].wrench.force.z > 0.0)
+    # A hand holds the object for 0.6 s.
+    graph.spin_until(lambda: len(truth) > 700 and truth[-700].wrench.force.z > 0.0)
     assert graph.call(Trigger, '/mixtac/virtual_grasp/knock').success
     graph.spin_until(lambda: places[-1].point.y < -1e-4)
     assert places[-1].header.frame_id == truth[-1].header.frame_id == 'mixtac_contact'

@@ -206,9 +206,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         steps = self._controller.on_events(
             packet.events, packet.complete_until, now_s, lost=not self._packets.continuous
         )
+        # The arm first: after a stall many windows are published at once.
+        self._send(self._controller.plan(now_s))
         for step in steps:
             self._publish(step)
-        self._send(self._controller.plan(now_s))
         self._moving = self._moving or self._controller.enabled
         self._brake()
 

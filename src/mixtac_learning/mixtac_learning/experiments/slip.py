@@ -372,7 +372,7 @@ def start_trial(plan: TrialPlan) -> ClosedLoop:
 
 
 def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
-    """Enable slip control, run a trial to its end, and the same without control.
+    """Enable slip control and run a trial to its end.
 
     Args:
         plan: Settings of the trial; those of the controller may differ from those at the start.
@@ -391,7 +391,6 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
         `detection_ms`: Time at which the selected detector reported slip.
         `slip_mm`, `arrest_ms`, `held`: Displacement of the object [mm], time at which it came to
             rest, whether it was held.
-        `open_slip_mm`, `open_held`: The same without control.
         `peak_n`: Largest normal force [N].
         `advance_mm`: Advance at the end [mm].
         `false_alarms`: Slips reported before the knock while the object did not move.
@@ -405,7 +404,7 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
     grasp, onset_us = loop.grasp, 1e6 * plan.knock_s
     loop.enable(plan.settings)
     loop.run(plan.knock_s + AFTER_KNOCK_S)
-    course, free = loop.course, plan.uncontrolled()
+    course = loop.course
     t_us, object_mm, normal_n = (course[name] for name in ('t_us', 'object_mm', 'normal_n'))
     answered_us, slipping = np.array(loop.answered_us), np.array([s.slipping for s in loop.steps])
     after = answered_us[slipping & (answered_us > onset_us)]
@@ -424,8 +423,6 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
         'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
         'detection_ms': 1e-3 * float(after[0] - onset_us) if len(after) else None,
         **arrest_of(t_us, object_mm, course['speed_mm_s'], onset_us),
-        'open_slip_mm': free['slip_mm'],
-        'open_held': free['held'],
         'peak_n': float(normal_n.max()),
         'advance_mm': float(course['advance_mm'][-1]),
         'false_alarms': int(np.count_nonzero(object_mm[now] - object_mm[then] <= MOVED_MM)),
@@ -436,12 +433,17 @@ def finish_trial(plan: TrialPlan, loop: ClosedLoop) -> dict[str, Any]:
 
 
 def _trial(plan: TrialPlan) -> dict[str, Any]:
-    """Return the result, and the course of the displacement at `COURSE_MS` [mm]."""
+    """Return the result of a trial.
+
+    `open_held`: Whether the object is held without control. `course_mm`: Displacement at
+    `COURSE_MS` [mm].
+    """
     loop = start_trial(plan)
     result, course = finish_trial(plan, loop), loop.course
     t_ms = 1e-3 * (course['t_us'] - 1e6 * KNOCK_S)
     way_mm = np.interp([0.0, *COURSE_MS], t_ms, course['object_mm'])
-    return result | {'course_mm': (way_mm[1:] - way_mm[0]).round(4).tolist()}
+    result['course_mm'] = (way_mm[1:] - way_mm[0]).round(4).tolist()
+    return result | {'open_held': plan.uncontrolled()['held']}
 
 
 PAPER_MM = {'cup': 0.90, 'box': 0.71, 'ball': 10.03}

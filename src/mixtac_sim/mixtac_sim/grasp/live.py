@@ -130,8 +130,8 @@ class PacedClock(SimulationClock):
 
 LOST_MM = 50.0
 """Fall after which the object is put back [mm]."""
-GRIP_BLOCKS = 375
-"""Blocks in which a hand holds the object and the grasp comes back to its force: 1.5 s."""
+GRIP_BLOCKS = 150
+"""Blocks in which a hand holds the object and the grasp comes back to its force: 0.6 s."""
 RAMP_BLOCKS = 75
 """Blocks of these in which the force changes: 0.3 s."""
 
