@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_core.events.codec import warm_up
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.events.readings import Frame, InertialSamples
+from mixtac_core.events.readings import Frame
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import DiagnosticsPublisher, Status
@@ -26,13 +26,7 @@ from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.errors import DriverError, StreamError, UsbError
-from mixtac_driver.node.publishers import (
-    ClockPublisher,
-    EdgePublisher,
-    EventPublisher,
-    FramePublisher,
-    InertialPublisher,
-)
+from mixtac_driver.node.publishers import ClockPublisher, EventPublisher, ReadingPublisher
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
@@ -181,9 +175,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if p.undistort_events:
             move = self._calibration.undistort
             self._event_publishers.append(EventPublisher(self, p, topics.EVENTS_RECT, move=move))
-        self._frames = FramePublisher(self, p.camera_frame_id, self._calibration.complete)
-        self._inertial = InertialPublisher(self, p.imu_frame_id)
-        self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
+        self._readings = ReadingPublisher(self, p, self._meters, self._calibration.complete)
         self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
         replayed = self._kind is SourceKind.RECORDED
         self._time = ClockPublisher(self) if p.playback_clock and replayed else None
@@ -265,9 +257,10 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         for frame in decoded.frames:
             self._publish_frame(frame, origin_us, identity)
         if len(decoded.imu.t):
-            self._publish_imu(decoded.imu, origin_us)
-        if len(decoded.edges.t):
-            self._edges.publish(decoded.edges, origin_us)
+            self._meters.samples.add(len(decoded.imu.t))
+            self._meters.temperature = float(decoded.imu.temperature[-1])
+            self._readings.samples(decoded.imu, origin_us)
+        self._readings.edges(decoded.edges, origin_us)
         if time.monotonic() >= self._clock_due_s:
             self._publish_clock(origin_us, identity.serial)
 
@@ -275,14 +268,9 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         exposure_us = frame.exposure_cycles / identity.clocks.adc
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
-        self._frames.publish(frame, origin_us, identity)
+        self._readings.frame(frame, origin_us, identity)
         if self._source.control is not None:
             self._settings.follow(frame, exposure_us, self._source.control)
-
-    def _publish_imu(self, samples: InertialSamples, origin_us: int) -> None:
-        self._meters.samples.add(len(samples.t))
-        self._meters.temperature = float(samples.temperature[-1])
-        self._inertial.publish(samples, origin_us)
 
     def _publish_clock(self, origin_us: int, serial: str) -> None:
         clock = self._source.status().clock
