@@ -105,9 +105,6 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         """Return the endpoint of this index; `IndexError` if there is none."""
         return _described(endpoints.ENDPOINTS[ep], bRefresh=0, bSynchAddress=0)
 
-    def get_parent(self, dev: object) -> None:
-        """Return None: the camera is not behind a hub."""
-
     def open_device(self, dev: object) -> Link:
         """Start a host session."""
         with _as_usb_errors():
