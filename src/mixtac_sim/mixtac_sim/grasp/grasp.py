@@ -168,8 +168,6 @@ def critical_force_n(
     raise SimulationError(f'no force up to {force:.2f} N holds {setup}; its surface is too uneven')
 
 
-DOWN = (0.0, 1.0)
-"""Gravity in the image: the sensor is mounted upright."""
 UNTOUCHED = 1 << 40
 """Added to the seed of a trial for the noise of the time before it."""
 FREE_STEPS = 80
@@ -252,7 +250,7 @@ class Grasp:
         self.camera: SkinCamera | None = None
         self._day = (device, conditions, preset)
         if camera:
-            self.camera = SkinCamera(*self._day, seed, self._press, self._skin, DOWN)
+            self.camera = SkinCamera(*self._day, seed, self._press, self._skin)
         self.device: DeviceModel = device
         self._seed = seed
 
@@ -279,7 +277,7 @@ class Grasp:
             self._press.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
         )
         seed = self._seed + UNTOUCHED
-        camera = SkinCamera(*self._day, seed, self._press, skin, DOWN, elastic_n=0.0)
+        camera = SkinCamera(*self._day, seed, self._press, skin, elastic_n=0.0)
         frames = list[ApsFrame]()
         block = np.zeros(FREE_STEPS)
         while len(frames) < count:

@@ -352,6 +352,10 @@ class SkinBeads:
         return self._mean_mm, self._more_mm
 
 
+DOWN = (0.0, 1.0)
+"""Direction of gravity in the image, right and down: the sensor is mounted upright."""
+
+
 class SkinCamera:
     """The sensor's camera over a skin that sticks and slips, in blocks of any length.
 
@@ -364,7 +368,6 @@ class SkinCamera:
         seed: Seed of the trial.
         press: The fingertip on the object.
         skin: The skin at the start.
-        direction: Direction of the pull on the skin in the image, right and down, of length 1.
         elastic_n: Elastic part of the normal force at the start [N]; by default that of the press.
     """
 
@@ -376,13 +379,11 @@ class SkinCamera:
         seed: int,
         press: Press,
         skin: Skin,
-        direction: tuple[float, float],
         elastic_n: float | None = None,
     ) -> None:
         device, contact_mm = device.on_day(conditions), conditions.contact_mm
         self._beads = device.beads(press.layer, contact_mm, [press.face], [press.gel])
         self._moved = SkinBeads(device.markers, press.layer, contact_mm, skin)
-        self._direction = direction
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()
         spots = self._place(self._elastic_n)
@@ -392,7 +393,7 @@ class SkinCamera:
         self.configure_pixels = self._camera.configure_pixels
 
     def _place(self, elastic_n: float) -> Floats:
-        return self._beads.place(0, elastic_n, self._direction, self._moved.amounts())
+        return self._beads.place(0, elastic_n, DOWN, self._moved.amounts())
 
     def advance(self, elastic_n: Floats, patches_mm: Floats) -> tuple[Events, list[ApsFrame]]:
         """Return the events and the frames that ended over a block; times as of `Camera.advance`.
