@@ -349,16 +349,15 @@ class VirtualDavis346:
 
     def _answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
         """Answer a request for data."""
-        answer: bytes | None = None
         if (request_type, request) == (_VENDOR_IN, _REGISTER):
-            answer = _VALUE.pack(self._registers.read(value, index))
-        elif not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
+            return _VALUE.pack(self._registers.read(value, index))
+        if not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
+            return bytes((self._configuration,))
+        if not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
             answer = endpoints.descriptor(value >> 8, value & 0xFF, self.serial)
-        elif not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
-            answer = bytes((self._configuration,))
-        if answer is None:
-            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
-        return answer
+            if answer is not None:
+                return answer
+        raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
 
     def _obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
         """Carry out a request that sends data or none."""

@@ -12,6 +12,7 @@ import socket
 import socketserver
 import threading
 import time
+from errno import ECONNREFUSED
 from pathlib import Path
 from typing import Final
 
@@ -124,22 +125,16 @@ def check_free(path: str) -> None:
     Raises:
         VirtualUsbError: It holds anything but a socket of a program that has ended.
     """
-    if os.path.lexists(path) and not _is_left_over(path):
-        raise VirtualUsbError(
-            f'{path} is in use, or is no socket',
-            remedy='stop the program that uses it, or give the virtual sensor another socket or '
-            'ROS_DOMAIN_ID',
-        )
-
-
-def _is_left_over(path: str) -> bool:
-    """Return whether a path is the socket of a program that has ended."""
+    if not os.path.lexists(path):
+        return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
-        try:
-            probe.connect(path)
-        except ConnectionRefusedError:
-            return Path(path).is_socket()
-        except OSError:
-            return False
-        return False
+        with contextlib.suppress(OSError):
+            # Nobody answers on a socket that was left over.
+            if probe.connect_ex(path) == ECONNREFUSED and Path(path).is_socket():
+                return
+    raise VirtualUsbError(
+        f'{path} is in use, or is no socket',
+        remedy='stop the program that uses it, or give the virtual sensor another socket or '
+        'ROS_DOMAIN_ID',
+    )

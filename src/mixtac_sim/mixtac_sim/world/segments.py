@@ -87,17 +87,13 @@ class Segment:
         span = np.maximum(knots[after] - knots[k], 1e-9)
         u = np.clip((since_s - knots[k]) / span, 0.0, 1.0)
         base = values[k] + (values[after] - values[k]) * u * u * (3.0 - 2.0 * u)
-        return np.asarray(base + self._tones(since_s))
-
-    def _tones(self, since_s: Floats) -> Floats:
-        """Return the sum of the tones."""
         total = np.zeros_like(since_s)
         left = self.end_s - self.start_s - since_s
         for tone in self.tones:
             fade = np.clip(np.minimum(since_s, left) / tone.fade_s, 0.0, 1.0)
             phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
             total += tone.amplitude * fade**2 * np.sin(phase)
-        return total
+        return np.asarray(base + total)
 
 
 Commands = tuple[NDArray[np.int8], Floats, NDArray[np.int8]]
