@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of the driver: events, frames, inertial samples, edges, clock, undistorted topics."""
+"""Publishers of the driver: events, frames, inertial samples, edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
 from mixtac_core.events.arrays import Events
@@ -17,7 +16,7 @@ from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.events.windows import Packetizer
 from mixtac_core.node import topics
-from mixtac_core.node.topics import Topic, us_to_stamp
+from mixtac_core.node.topics import Topic
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity
@@ -181,25 +180,3 @@ class ReadingPublisher:
             time_us, kind = int(edges.t[index]) + origin_us, int(edges.kind[index])
             message = messages.external_edge(kind, time_us, first + index, self._camera_frame)
             self._edges.publish(message)
-
-
-CLOCK_PERIOD_US = 1000
-
-
-class ClockPublisher:
-    """Publishes the position of playback as time. For one thread.
-
-    Args:
-        node: An rclpy node.
-    """
-
-    def __init__(self, node: Any) -> None:  # noqa: ANN401
-        # Default QoS: subscribers with use_sim_time are best effort, others may be reliable.
-        self._publisher = node.create_publisher(Clock, '/clock', 10)
-        self._due_us = 0
-
-    def publish(self, time_us: int) -> None:
-        """Publish a time [us, epoch-based camera clock], at most once per millisecond."""
-        if time_us >= self._due_us:
-            self._due_us = time_us + CLOCK_PERIOD_US
-            self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
