@@ -25,7 +25,7 @@ from mixtac_sim.bags.trial_bag import generate
 from mixtac_sim.usb import registers
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
-from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
 from mixtac_sim.world.plans import describe, plan_profile
 from mixtac_sim.world.trial import Stretch, TrialStream

@@ -204,7 +204,7 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
         A pyusb backend, None if the named sensor does not answer, and the finding.
     """
     from mixtac_driver.device import open_backend
-    from mixtac_sim.usb.faults import NoVirtualSensorError
+    from mixtac_sim.usb.errors import NoVirtualSensorError
 
     name, found = 'virtual sensor', 'a running one is checked'
     with ExitStack() as closing:

@@ -21,7 +21,7 @@ from mixtac.calibrate import bag_images, calibrate
 from mixtac_core.recordings.bag import typestore
 from mixtac_core.recordings.bag_writer import BagWriter
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_driver.calibration import Refusal, RefusedError
+from mixtac_driver.calibration import RefusedError
 from mixtac_driver.camera_info import CalibrationError, read_camera_info
 
 TOPIC = '/mixtac/image_raw'
@@ -104,7 +104,7 @@ def test_few_views_are_refused_and_nothing_is_written(tmp_path, frames):
     bag = write_bag(tmp_path / 'few', frames[:5])
     with pytest.raises(RefusedError) as caught:
         calibrate(bag=bag, out=tmp_path / 'camera.yaml')
-    assert caught.value.reason is Refusal.TOO_FEW_VIEWS
+    assert caught.value.reason == 'too few views'
     assert not (tmp_path / 'camera.yaml').exists()
 
 

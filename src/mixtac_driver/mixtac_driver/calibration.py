@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import cv2
@@ -30,16 +29,6 @@ from mixtac_driver.camera_info import (
 Grey = NDArray[np.uint8 | np.uint16]
 
 
-class Refusal(Enum):
-    """Reason to refuse a calibration; values are shown to users."""
-
-    TOO_FEW_VIEWS = 'too few views'
-    POOR_COVERAGE = 'views do not cover the image'
-    NO_FIT = 'no fit'
-    LARGE_RESIDUAL = 'large reprojection error'
-    UNCERTAIN = 'uncertain focal length'
-
-
 class RefusedError(CalibrationError):
     """Views that give no trustworthy calibration.
 
@@ -52,8 +41,8 @@ class RefusedError(CalibrationError):
         reason: As given.
     """
 
-    def __init__(self, reason: Refusal, found: str, remedy: str) -> None:
-        super().__init__(f'{reason.value}: {found}', remedy=remedy)
+    def __init__(self, reason: str, found: str, remedy: str) -> None:
+        super().__init__(f'{reason}: {found}', remedy=remedy)
         self.reason = reason
 
 
@@ -310,31 +299,23 @@ def calibrate(
         removed.append((kept.pop(worst), float(errors[worst])))
         _check_views(kept)
     _check_fit(matrix, deviations, errors, model)
-    width, height = kept[0].width, kept[0].height
-    calibration = CameraCalibration(
-        name=name,
-        width=width,
-        height=height,
-        model=model,
-        distortion=distortion,
-        camera_matrix=matrix,
-        rectification=np.eye(3),
-        projection=_projection(model, matrix, distortion, (width, height)),
-    )
-    return Solution(calibration, deviations, errors, kept, removed)
+    size = (kept[0].width, kept[0].height)
+    projection = _projection(model, matrix, distortion, size)
+    lens = CameraCalibration(name, *size, model, distortion, matrix, np.eye(3), projection)
+    return Solution(lens, deviations, errors, kept, removed)
 
 
 def _check_views(views: Sequence[View]) -> None:
     if len(views) < LEAST_VIEWS:
         raise RefusedError(
-            Refusal.TOO_FEW_VIEWS,
+            'too few views',
             f'{len(views)} views show the whole board and agree, {LEAST_VIEWS} are needed',
             'show it longer and at other places, and check that --board counts the inner corners',
         )
     share = coverage(views)
     if share < LEAST_COVERAGE:
         raise RefusedError(
-            Refusal.POOR_COVERAGE,
+            'views do not cover the image',
             f'corners cover {share:.0%} of the image, {LEAST_COVERAGE:.0%} is needed',
             'hold the board towards every edge',
         )
@@ -344,14 +325,14 @@ def _check_fit(matrix: Floats, deviations: Floats, errors: Floats, model: str) -
     rms = float(np.sqrt(np.mean(errors**2)))
     if rms > MOST_RMS_PX:
         raise RefusedError(
-            Refusal.LARGE_RESIDUAL,
+            'large reprojection error',
             f'{rms:.2f} px, at most {MOST_RMS_PX:g} px is allowed',
             f'check --board, use a flat board, more light, or another --model than {model}',
         )
     uncertain = float((deviations[:2] / matrix[[0, 1], [0, 1]]).max())
     if not 0.0 <= uncertain <= MOST_FOCAL_DEVIATION:
         raise RefusedError(
-            Refusal.UNCERTAIN,
+            'uncertain focal length',
             f'its relative deviation is {uncertain:.1%}, {MOST_FOCAL_DEVIATION:.0%} is allowed',
             'tilt the board more',
         )
@@ -369,7 +350,7 @@ def fit_lens(views: Sequence[View], model: str) -> tuple[Floats, Floats, Floats,
         coefficients [4 + n]; the root mean square error of each view [px].
 
     Raises:
-        RefusedError: OpenCV finds no lens (`NO_FIT`).
+        RefusedError: OpenCV finds no lens ('no fit').
     """
     size = (views[0].width, views[0].height)
     try:
@@ -378,12 +359,12 @@ def fit_lens(views: Sequence[View], model: str) -> tuple[Floats, Floats, Floats,
         )
     except cv2.error as error:
         raise RefusedError(
-            Refusal.NO_FIT,
+            'no fit',
             f'no {model} lens fits these {len(views)} views',
             'hold the board flat, and tilt it in different ways',
         ) from error
     if not all(np.isfinite(each).all() for each in found):
-        raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', 'use more, steadier views')
+        raise RefusedError('no fit', f'the {model} fit diverged', 'use more, steadier views')
     return found
 
 

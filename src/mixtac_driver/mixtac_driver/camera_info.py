@@ -145,19 +145,17 @@ def resolve(url: str, camera_name: str) -> Path:
     if scheme == 'file' and rest.startswith('/'):
         return Path(unquote(rest))
     if scheme == 'package':
-        return _in_package(*unquote(rest).partition('/')[::2], url)
+        package, _, place = unquote(rest).partition('/')
+        try:
+            return share(package) / place
+        except (ShareError, ValueError) as error:
+            raise CalibrationError(
+                f'camerainfo_url {url!r}: no package {package!r}; source its workspace or give a '
+                'path'
+            ) from error
     raise CalibrationError(
         f'camerainfo_url {url!r}: use file:///path, package://name/path or a path'
     )
-
-
-def _in_package(package: str, path: str, url: str) -> Path:
-    try:
-        return share(package) / path
-    except (ShareError, ValueError) as error:
-        raise CalibrationError(
-            f'camerainfo_url {url!r}: no package {package!r}; source its workspace or give a path'
-        ) from error
 
 
 def read_camera_info(path: Path) -> CameraCalibration:

@@ -297,13 +297,7 @@ class RecordedSource:
         self._timeline.restart(self._info.start_us)
 
     def start(self) -> None:
-        """Prepare playback from `playback_start`; times continue after those of an earlier stream.
-
-        Raises:
-            RecordingError: It is not open.
-        """
-        if self._recording is None:
-            raise RecordingError(f'{self._p.device} is not open', remedy='call open() first')
+        """Prepare playback from `playback_start`; times continue after an earlier stream."""
         self._stopping = self._ended = False
 
     def batches(self) -> Iterator[CameraBatch]:
@@ -311,11 +305,12 @@ class RecordedSource:
 
         Raises:
             EndOfStream: Everything was played, and playback does not loop.
-            RecordingError: The data are damaged, or the start offset lies beyond the end.
+            RecordingError: It is not open, its data are damaged, or the start offset lies beyond
+                its end.
         """
         recording = self._recording
         if recording is None:
-            return
+            raise RecordingError(f'{self._p.device} is not open', remedy='call open() first')
         info, start_s = recording.info, self._p.playback_start
         start_us = info.start_us + round(start_s * 1e6)
         while True:

@@ -8,5 +8,6 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-# Recordings to play.
-sys.path.append(str(Path(__file__).parents[2] / 'mixtac_core' / 'test' / 'recordings'))
+# Recordings to play, and a camera that fails on request.
+for folder in ('mixtac_core/test/recordings', 'mixtac_sim/test/usb'):
+    sys.path.append(str(Path(__file__).parents[2] / folder))

@@ -20,7 +20,6 @@ class FakeLibusb:
 
     Attributes:
         submitted: Addresses of the transfers that wait, oldest first.
-        most_waiting: Most that ever waited.
         allocated: Transfers not yet freed.
         submit_error: Code that every submission returns while it is not 0.
         gives_back: False for a kernel that never finishes cancelled transfers.
@@ -28,7 +27,6 @@ class FakeLibusb:
 
     def __init__(self):
         self.submitted = deque()
-        self.most_waiting = 0
         self.allocated = {}
         self.submit_error = 0
         self.gives_back = True
@@ -53,7 +51,6 @@ class FakeLibusb:
         with self._changed:
             assert address not in self.submitted, 'submitted twice'
             self.submitted.append(address)
-            self.most_waiting = max(self.most_waiting, len(self.submitted))
         return 0
 
     def libusb_cancel_transfer(self, pointer):

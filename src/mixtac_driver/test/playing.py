@@ -38,14 +38,3 @@ def play(source, batches=None):
         played.ended = True
     played.events = Events.concatenate(parts)
     return played
-
-
-def until_end(source):
-    """Yield the batches of a started source, which must end by itself and be content."""
-    batches = source.batches()
-    while True:
-        try:
-            batch = next(batches)
-        except EndOfStream:
-            return
-        yield batch

@@ -21,14 +21,7 @@ from board_camera import (
     perfect_views,
 )
 
-from mixtac_driver.calibration import (
-    Board,
-    Refusal,
-    RefusedError,
-    ViewSelection,
-    calibrate,
-    find_board,
-)
+from mixtac_driver.calibration import Board, RefusedError, ViewSelection, calibrate, find_board
 from mixtac_driver.camera_info import MODELS
 
 BOARD = Board(COLUMNS, ROWS, SQUARE_M)
@@ -115,8 +108,8 @@ def reason(views, **options):
 
 
 def test_too_few_views_are_refused():
-    assert reason([]) is Refusal.TOO_FEW_VIEWS
-    assert reason(perfect_views('equidistant', 7, 1)) is Refusal.TOO_FEW_VIEWS
+    assert reason([]) == 'too few views'
+    assert reason(perfect_views('equidistant', 7, 1)) == 'too few views'
 
 
 def test_views_of_the_middle_only_are_refused():
@@ -125,14 +118,14 @@ def test_views_of_the_middle_only_are_refused():
     held = [
         (rng.uniform(-0.7, 0.7, 3), np.append(rng.uniform(-1, 1, 2) * 0.002, z)) for z in depths
     ]
-    assert reason(perfect_views('equidistant', 20, 1, held=held)) is Refusal.POOR_COVERAGE
+    assert reason(perfect_views('equidistant', 20, 1, held=held)) == 'views do not cover the image'
 
 
 def test_a_wrong_board_is_refused():
     rng = np.random.default_rng(0)
     views = perfect_views('equidistant', 20, 1)
     shaken = [replace(v, corners=v.corners + rng.normal(0, 2.5, (54, 2))) for v in views]
-    assert reason(shaken) in (Refusal.LARGE_RESIDUAL, Refusal.UNCERTAIN, Refusal.NO_FIT)
+    assert reason(shaken) in ('large reprojection error', 'uncertain focal length', 'no fit')
 
 
 def test_a_view_is_kept_once_and_the_selection_completes():

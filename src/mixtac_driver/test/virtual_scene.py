@@ -9,9 +9,9 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+from faulty_camera import FaultyDavis346
 
 from mixtac_core.events.arrays import Events
-from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.words import ImuReading
 
 
@@ -20,7 +20,7 @@ class Scene:
 
     def __init__(self, rate_hz=20_000, serial='V0000042'):
         self.start = time.monotonic_ns()
-        self.device = VirtualDavis346(serial, clock=self.now)
+        self.device = FaultyDavis346(serial, clock=self.now)
         self.given = []
         self.frames = []
         self._rng = np.random.default_rng(1)

@@ -9,11 +9,10 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from mixtac_core.node.parameters import specs
 from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux, SystemInfo
-from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
+from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.davis346.writes import (
     APS_REGION,
     STOP_WRITES,
@@ -70,7 +69,6 @@ FRAMES_OFF = Write(Module.APS, Aps.RUN, 0)
 PixelFilter = tuple[tuple[int, int], ...]
 """(column, row) of each pixel whose events the camera drops."""
 Settings = tuple['CameraParameters', PixelFilter]
-_EXPOSURE = {spec.name: spec for spec in specs(SensorParameters)}['aps_exposure']
 
 
 def _address(write: Write) -> tuple[int, int]:
@@ -194,14 +192,15 @@ class CameraControl:
     def set_exposure(self, exposure_us: int) -> bool:
         """Change only the exposure [us]; for control loops, because it never waits.
 
+        Args:
+            exposure_us: A value within the range of the parameter `aps_exposure` [us].
+
         Returns:
             False if the camera was busy with another request: try again later.
 
         Raises:
-            ParameterError: It is out of range; nothing was changed.
             UsbError: The request failed.
         """
-        _EXPOSURE.check(exposure_us)
         if not self._lock.acquire(blocking=False):
             return False
         try:

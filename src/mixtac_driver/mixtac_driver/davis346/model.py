@@ -67,7 +67,7 @@ class CameraModel:
     logic_version: int
     minimum_logic_patch: int
     biases: Mapping[str, Bias]
-    chip_registers: Mapping[Chip, int]
+    chip_registers: Mapping[int, int]
 
 
 DAVIS346 = CameraModel(
@@ -84,7 +84,7 @@ DAVIS346 = CameraModel(
     biases=DEFAULT_BIASES,
     chip_registers=MappingProxyType(
         {
-            **{Chip(number): 0 for number in range(128, 136)},
+            **dict.fromkeys(range(128, 136), 0),
             Chip.RESET_CALIBRATION_NEURON: 1,
             Chip.TYPE_N_CALIBRATION_NEURON: 0,
             Chip.RESET_TEST_PIXEL: 1,

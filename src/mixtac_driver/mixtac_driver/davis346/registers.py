@@ -127,16 +127,8 @@ class ExternalInput(IntEnum):
 
 
 class Chip(IntEnum):
-    """Chip configuration bits of module CHIP; its parameters below 128 are biases."""
+    """Chip configuration bits of module CHIP; 128 to 135 are test pins, those below are biases."""
 
-    DIGITAL_MUX_0 = 128
-    DIGITAL_MUX_1 = 129
-    DIGITAL_MUX_2 = 130
-    DIGITAL_MUX_3 = 131
-    ANALOG_MUX_0 = 132
-    ANALOG_MUX_1 = 133
-    ANALOG_MUX_2 = 134
-    BIAS_MUX_0 = 135
     RESET_CALIBRATION_NEURON = 136
     TYPE_N_CALIBRATION_NEURON = 137
     RESET_TEST_PIXEL = 138

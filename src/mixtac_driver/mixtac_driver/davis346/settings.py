@@ -226,16 +226,13 @@ class CameraParameters(BiasParameters, SensorParameters):
             spec.check(getattr(self, spec.name))
         self.roi.check('roi')
         self.aps_roi.check('aps_roi')
-        _check_less(self, 'generator_length', 'generator_interval', equal=False)
-        _check_less(self, 'aps_auto_exposure_minimum', 'aps_auto_exposure_maximum', equal=True)
+        for name, limit, apart in (
+            ('generator_length', 'generator_interval', 1),
+            ('aps_auto_exposure_minimum', 'aps_auto_exposure_maximum', 0),
+        ):
+            value, most = getattr(self, name), getattr(self, limit) - apart
+            if value > most:
+                raise ConfigurationError(f'{name} = {value}: give at most {most}, by {limit}')
 
 
 _SPECS = specs(CameraParameters)
-
-
-def _check_less(p: CameraParameters, name: str, limit: str, *, equal: bool) -> None:
-    value, most = getattr(p, name), getattr(p, limit)
-    if value > most or (value == most and not equal):
-        raise ConfigurationError(
-            f'{name} = {value}: give {"at most" if equal else "less than"} {limit} = {most}'
-        )

@@ -13,7 +13,7 @@ are views of its own arrays. Only frames, inertial samples and edges are copied 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,6 @@ class StreamDecoder:
         imu_flips: Axes (x, y, z) of the inertial unit that are reversed.
         imu_type: 1 for MPU6050, 2 for MPU9250.
         capacity: Events per batch; longer bursts are split into several batches.
-        allocate: Returns a zeroed array, given its length and dtype; tests guard the arrays by it.
 
     Attributes:
         waiting: Whether something was decoded that comes with the next batch.
@@ -59,12 +58,11 @@ class StreamDecoder:
         imu_flips: tuple[bool, bool, bool] = (False, False, False),
         imu_type: int = 2,
         capacity: int = DEFAULT_CAPACITY,
-        allocate: Callable[[int, Any], NDArray[Any]] = np.zeros,
     ) -> None:
         self._geometry = geometry
         self._imu_flips = imu_flips
         self._imu_type = imu_type
-        self._buffers = b = new_buffers(geometry, capacity, allocate)
+        self._buffers = b = new_buffers(geometry, capacity)
         self._state, self._counters, self._readings = b.state[0], b.counters[0], b.readings[0]
         self._image = b.pixels[0]['image']
         x, y = (b.row, b.column) if geometry.dvs_inverted else (b.column, b.row)

@@ -9,7 +9,6 @@ between compiled functions is cheap; for arrays, numba counts references at ever
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -147,19 +146,16 @@ class Buffers(NamedTuple):
     pixels: NDArray[Any]
 
 
-def new_buffers(
-    geometry: Geometry, capacity: int, allocate: Callable[[int, Any], NDArray[Any]] = np.zeros
-) -> Buffers:
+def new_buffers(geometry: Geometry, capacity: int) -> Buffers:
     """Return the memory of a decoder that has not seen any words.
 
     Args:
         geometry: Pixel arrays of the camera.
         capacity: Events that the output arrays hold.
-        allocate: Returns a zeroed array, given its length and dtype.
     """
     size = max(geometry.aps_columns * geometry.aps_rows, 1)
     pixels = np.dtype([('resets', np.uint16, size), ('image', np.uint16, size)])
-    state = allocate(1, STATE)
+    state = np.zeros(1, STATE)
     for name in ('dvs_rows', 'dvs_columns', 'aps_columns', 'aps_rows', 'aps_inverted'):
         state[name] = getattr(geometry, name)
     state['row'] = -1
@@ -167,11 +163,11 @@ def new_buffers(
     state['imu_index'] = IMU_OUTSIDE
     return Buffers(
         state=state,
-        counters=allocate(1, COUNTERS),
-        readings=allocate(1, READINGS),
-        t=allocate(capacity, np.int64),
-        row=allocate(capacity, np.uint16),
-        column=allocate(capacity, np.uint16),
-        polarity=allocate(capacity, np.uint8),
-        pixels=allocate(1, pixels),
+        counters=np.zeros(1, COUNTERS),
+        readings=np.zeros(1, READINGS),
+        t=np.zeros(capacity, np.int64),
+        row=np.zeros(capacity, np.uint16),
+        column=np.zeros(capacity, np.uint16),
+        polarity=np.zeros(capacity, np.uint8),
+        pixels=np.zeros(1, pixels),
     )

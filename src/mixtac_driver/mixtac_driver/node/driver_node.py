@@ -10,29 +10,25 @@ from functools import partial
 from typing import Any
 
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from mixtac_core.events.codec import warm_up
 from mixtac_core.events.errors import MixtacError
-from mixtac_core.events.readings import Frame, InertialSamples
+from mixtac_core.events.readings import Frame
 from mixtac_core.node import topics
 from mixtac_core.node.base_node import BaseNode, answering, declare, run
 from mixtac_core.node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_core.node.files import state_file
+from mixtac_core.node.topics import us_to_stamp
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.camera_info import CalibratedCamera
 from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.errors import DriverError, StreamError, UsbError
-from mixtac_driver.node.publishers import (
-    ClockPublisher,
-    EdgePublisher,
-    EventPublisher,
-    FramePublisher,
-    InertialPublisher,
-)
+from mixtac_driver.node.publishers import EventPublisher, ReadingPublisher
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
 from mixtac_driver.parameters import DriverParameters
@@ -42,6 +38,8 @@ from mixtac_driver.supervisor import Source, SourceKind, Supervisor, make_source
 
 CLOCK_PERIOD_S = 1.0
 """Period of `camera_clock` [s]."""
+TIME_PERIOD_US = 1000
+"""Shortest period of the time of playback on `/clock` [us]."""
 MARGIN_S = 1.0
 """Additional time allowed for a count [s]."""
 LISTED_PIXELS = 20
@@ -164,7 +162,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('driver')
-        p = declare(self, DriverParameters, self._apply)
+        p = declare(self, DriverParameters, lambda p: self._settings.apply(p, self._source.apply))
         self._kind = source_kind(p.device)
         self._settings = DriverSettings(p)
         self._diagnostics = DiagnosticsPublisher(self, p.device, self._report)
@@ -181,12 +179,11 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         if p.undistort_events:
             move = self._calibration.undistort
             self._event_publishers.append(EventPublisher(self, p, topics.EVENTS_RECT, move=move))
-        self._frames = FramePublisher(self, p.camera_frame_id, self._calibration.complete)
-        self._inertial = InertialPublisher(self, p.imu_frame_id)
-        self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
+        self._readings = ReadingPublisher(self, p, self._meters, self._calibration.complete)
         self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
-        replayed = self._kind is SourceKind.RECORDED
-        self._time = ClockPublisher(self) if p.playback_clock and replayed else None
+        # Default QoS: subscribers with use_sim_time are best effort, others may be reliable.
+        clock, self._time_due_us = p.playback_clock and self._kind is SourceKind.RECORDED, 0
+        self._time = self.create_publisher(Clock, '/clock', 10) if clock else None
         parameters, pixel_filter = self._settings.camera_settings()
         self._source = make_source(parameters, pixel_filter=pixel_filter)
         self._open_once()
@@ -219,9 +216,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         """Stop the source."""
         if not self._supervisor.stop():
             self.get_logger().error('the camera did not stop in time; leaving it')
-
-    def _apply(self, parameters: DriverParameters) -> None:
-        self._settings.apply(parameters, self._source.apply)
 
     def _open_once(self) -> None:
         try:
@@ -260,14 +254,16 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         events = self._settings.mask.keep(decoded.events)
         for publisher in self._event_publishers:
             publisher.publish(events, batch, identity.geometry.event_size)
-        if self._time is not None:
-            self._time.publish(batch.time_us)
+        if self._time is not None and batch.time_us >= self._time_due_us:
+            self._time_due_us = batch.time_us + TIME_PERIOD_US
+            self._time.publish(Clock(clock=us_to_stamp(batch.time_us)))
         for frame in decoded.frames:
             self._publish_frame(frame, origin_us, identity)
         if len(decoded.imu.t):
-            self._publish_imu(decoded.imu, origin_us)
-        if len(decoded.edges.t):
-            self._edges.publish(decoded.edges, origin_us)
+            self._meters.samples.add(len(decoded.imu.t))
+            self._meters.temperature = float(decoded.imu.temperature[-1])
+            self._readings.samples(decoded.imu, origin_us)
+        self._readings.edges(decoded.edges, origin_us)
         if time.monotonic() >= self._clock_due_s:
             self._publish_clock(origin_us, identity.serial)
 
@@ -275,14 +271,9 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         exposure_us = frame.exposure_cycles / identity.clocks.adc
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
-        self._frames.publish(frame, origin_us, identity)
+        self._readings.frame(frame, origin_us, identity)
         if self._source.control is not None:
             self._settings.follow(frame, exposure_us, self._source.control)
-
-    def _publish_imu(self, samples: InertialSamples, origin_us: int) -> None:
-        self._meters.samples.add(len(samples.t))
-        self._meters.temperature = float(samples.temperature[-1])
-        self._inertial.publish(samples, origin_us)
 
     def _publish_clock(self, origin_us: int, serial: str) -> None:
         clock = self._source.status().clock

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers of the driver: events, frames, inertial samples, edges, clock, undistorted topics."""
+"""Publishers of the driver: events, frames, inertial samples, edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
 from mixtac_core.events.arrays import Events
@@ -17,7 +16,7 @@ from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Edges, Frame, InertialSamples
 from mixtac_core.events.windows import Packetizer
 from mixtac_core.node import topics
-from mixtac_core.node.topics import Topic, us_to_stamp
+from mixtac_core.node.topics import Topic
 from mixtac_core.recordings import messages
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.model import Identity
@@ -85,29 +84,45 @@ class EventPublisher:
                 self._meters.ages_s.add((time.time_ns() - packet.arrival_ns) / 1e9)
 
 
-class FramePublisher:
-    """Publishes frames on `image_raw`, `camera_info` and `image_exposure`.
+TEMPERATURE_PERIOD_US = 100_000
+MOST_EDGES = 500
+"""Edges that are published per period; more would delay events."""
+EDGES_PERIOD_S = 0.25
+"""Period in which the published edges are counted [s]."""
+
+
+class ReadingPublisher:
+    """Publishes frames, inertial samples and edges, each on the topics that have subscribers.
+
+    For one thread.
 
     Args:
         node: An rclpy node.
-        frame_id: Frame of the camera.
+        p: Frames of camera and inertial unit.
+        meters: Counts what is published.
         complete: Adds the calibration to camera information.
     """
 
     def __init__(
         self,
         node: Any,  # noqa: ANN401
-        frame_id: str,
+        p: DeviceParameters,
+        meters: DriverMeters,
         complete: Callable[[CameraInfo], CameraInfo],
     ) -> None:
-        self._frame_id = frame_id
-        self._complete = complete
+        self._camera_frame, self._imu_frame = p.camera_frame_id, p.imu_frame_id
+        self._meters, self._complete = meters, complete
         self._image = node.publish_topic(topics.IMAGE_RAW)
         self._info = node.publish_topic(topics.CAMERA_INFO)
         self._exposure = node.publish_topic(topics.IMAGE_EXPOSURE)
+        self._imu = node.publish_topic(topics.IMU)
+        self._temperature = node.publish_topic(topics.TEMPERATURE)
+        self._edges = node.publish_topic(topics.EXTERNAL_EDGES)
+        self._temperature_due_us = self._edge_sequence = 0
+        self._edges_allowed, self._period_ends_s = MOST_EDGES, 0.0
 
-    def publish(self, frame: Frame, origin_us: int, identity: Identity) -> None:
-        """Publish a frame on the topics that have subscribers.
+    def frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
+        """Publish a frame on `image_raw`, `camera_info` and `image_exposure`.
 
         Args:
             frame: The frame.
@@ -116,36 +131,18 @@ class FramePublisher:
         """
         if self._image.get_subscription_count():
             color_filter = identity.color_filter
-            image = messages.image(frame, origin_us, color_filter, self._frame_id)
+            image = messages.image(frame, origin_us, color_filter, self._camera_frame)
             self._image.publish(image)
         else:
-            image = messages.image_header(frame, origin_us, self._frame_id)
+            image = messages.image_header(frame, origin_us, self._camera_frame)
         if self._info.get_subscription_count():
             size = (identity.geometry.width, identity.geometry.height)
             self._info.publish(self._complete(messages.camera_info(frame, size, image)))
         if self._exposure.get_subscription_count():
             self._exposure.publish(messages.frame_exposure(frame, origin_us, image))
 
-
-TEMPERATURE_PERIOD_US = 100_000
-
-
-class InertialPublisher:
-    """Publishes samples on `imu` and, ten times a second, on `temperature`.
-
-    Args:
-        node: An rclpy node.
-        frame_id: Frame of the inertial unit.
-    """
-
-    def __init__(self, node: Any, frame_id: str) -> None:  # noqa: ANN401
-        self._frame_id = frame_id
-        self._imu = node.publish_topic(topics.IMU)
-        self._temperature = node.publish_topic(topics.TEMPERATURE)
-        self._temperature_due_us = 0
-
-    def publish(self, samples: InertialSamples, origin_us: int) -> None:
-        """Publish samples if there are subscribers.
+    def samples(self, samples: InertialSamples, origin_us: int) -> None:
+        """Publish samples on `imu/data_raw` and, ten times a second, on `temperature`.
 
         Args:
             samples: At least one sample.
@@ -153,80 +150,33 @@ class InertialPublisher:
         """
         if self._imu.get_subscription_count():
             for index in range(len(samples.t)):
-                self._imu.publish(messages.imu(samples, index, origin_us, self._frame_id))
+                self._imu.publish(messages.imu(samples, index, origin_us, self._imu_frame))
         celsius, time_us = float(samples.temperature[-1]), int(samples.t[-1]) + origin_us
         if time_us < self._temperature_due_us or math.isnan(celsius):
             return
         self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
         if self._temperature.get_subscription_count():
-            self._temperature.publish(messages.temperature(celsius, time_us, self._frame_id))
+            self._temperature.publish(messages.temperature(celsius, time_us, self._imu_frame))
 
-
-MOST_EDGES = 500
-"""Edges that are published per period; more would delay events."""
-EDGES_PERIOD_S = 0.25
-"""Period in which the published edges are counted [s]."""
-
-
-class EdgePublisher:
-    """Publishes edges on `external_edges`, up to MOST_EDGES per period; counts those it drops.
-
-    Args:
-        node: An rclpy node.
-        frame_id: Frame of the camera.
-        meters: Counts the edges.
-    """
-
-    def __init__(self, node: Any, frame_id: str, meters: DriverMeters) -> None:  # noqa: ANN401
-        self._frame_id, self._meters = frame_id, meters
-        self._publisher = node.publish_topic(topics.EXTERNAL_EDGES)
-        self._sequence = 0
-        self._allowed = MOST_EDGES
-        self._period_ends_s = 0.0
-
-    def publish(self, edges: Edges, origin_us: int) -> None:
-        """Publish edges if there are subscribers.
+    def edges(self, edges: Edges, origin_us: int) -> None:
+        """Publish edges on `external_edges`, up to MOST_EDGES per period; count those dropped.
 
         Args:
             edges: The edges.
             origin_us: Origin of the camera's clock [us since the Unix epoch].
         """
-        count, first = len(edges.t), self._sequence
-        self._sequence += count
+        count, first = len(edges.t), self._edge_sequence
+        self._edge_sequence += count
         self._meters.edges += count
-        if not count or not self._publisher.get_subscription_count():
+        if not count or not self._edges.get_subscription_count():
             return
         now_s = time.monotonic()
         if now_s >= self._period_ends_s:
-            self._period_ends_s, self._allowed = now_s + EDGES_PERIOD_S, MOST_EDGES
-        published = min(count, self._allowed)
-        self._allowed -= published
+            self._period_ends_s, self._edges_allowed = now_s + EDGES_PERIOD_S, MOST_EDGES
+        published = min(count, self._edges_allowed)
+        self._edges_allowed -= published
         self._meters.edges_dropped += count - published
         for index in range(published):
-            time_us = int(edges.t[index]) + origin_us
-            kind = int(edges.kind[index])
-            self._publisher.publish(
-                messages.external_edge(kind, time_us, first + index, self._frame_id)
-            )
-
-
-CLOCK_PERIOD_US = 1000
-
-
-class ClockPublisher:
-    """Publishes the position of playback as time. For one thread.
-
-    Args:
-        node: An rclpy node.
-    """
-
-    def __init__(self, node: Any) -> None:  # noqa: ANN401
-        # Default QoS: subscribers with use_sim_time are best effort, others may be reliable.
-        self._publisher = node.create_publisher(Clock, '/clock', 10)
-        self._due_us = 0
-
-    def publish(self, time_us: int) -> None:
-        """Publish a time [us, epoch-based camera clock], at most once per millisecond."""
-        if time_us >= self._due_us:
-            self._due_us = time_us + CLOCK_PERIOD_US
-            self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
+            time_us, kind = int(edges.t[index]) + origin_us, int(edges.kind[index])
+            message = messages.external_edge(kind, time_us, first + index, self._camera_frame)
+            self._edges.publish(message)

@@ -27,13 +27,8 @@ from mixtac_core.node import topics
 from mixtac_core.node.topics import stamp_to_us
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.clock import Origin
-from mixtac_driver.node import publishers as edge_publisher
-from mixtac_driver.node.publishers import (
-    EdgePublisher,
-    EventPublisher,
-    FramePublisher,
-    InertialPublisher,
-)
+from mixtac_driver.node import publishers
+from mixtac_driver.node.publishers import EventPublisher, ReadingPublisher
 from mixtac_driver.node.status import DriverMeters
 from mixtac_driver.parameters import DriverParameters
 
@@ -72,6 +67,16 @@ def node():
     return Node()
 
 
+@pytest.fixture
+def meters():
+    return DriverMeters()
+
+
+@pytest.fixture
+def publisher(node, meters):
+    return ReadingPublisher(node, DriverParameters(), meters, lambda info: info)
+
+
 @pytest.fixture(scope='module')
 def identity():
     with Davis346(backend=FakeBackend(FakeCamera())) as camera:
@@ -88,25 +93,23 @@ def edges(count):
     return Edges(t, np.full(count, 3, np.uint8))
 
 
-def test_too_many_edges_are_dropped_and_counted(node, monkeypatch):
+def test_too_many_edges_are_dropped_and_counted(node, publisher, meters, monkeypatch):
     now_s = [0.0]
-    monkeypatch.setattr(edge_publisher.time, 'monotonic', lambda: now_s[0])
-    meters = DriverMeters()
-    publisher = EdgePublisher(node, 'cam', meters)
+    monkeypatch.setattr(publishers.time, 'monotonic', lambda: now_s[0])
     topic = node.topics['external_edges']
-    publisher.publish(edges(7), ORIGIN_US)
+    publisher.edges(edges(7), ORIGIN_US)
     assert topic.sent == []
     topic.listeners = 1
-    publisher.publish(edges(3), ORIGIN_US)
+    publisher.edges(edges(3), ORIGIN_US)
     assert [message.seq for message in topic.sent] == [7, 8, 9]
     assert [stamp_to_us(m.header.stamp) - ORIGIN_US for m in topic.sent] == [0, 1, 2]
     assert meters.edges_dropped == 0
-    publisher.publish(edges(10_000), ORIGIN_US)
-    assert len(topic.sent) == edge_publisher.MOST_EDGES
-    assert meters.edges_dropped == 10_003 - edge_publisher.MOST_EDGES
-    now_s[0] = edge_publisher.EDGES_PERIOD_S
-    publisher.publish(edges(100), ORIGIN_US)
-    assert len(topic.sent) == edge_publisher.MOST_EDGES + 100
+    publisher.edges(edges(10_000), ORIGIN_US)
+    assert len(topic.sent) == publishers.MOST_EDGES
+    assert meters.edges_dropped == 10_003 - publishers.MOST_EDGES
+    now_s[0] = publishers.EDGES_PERIOD_S
+    publisher.edges(edges(100), ORIGIN_US)
+    assert len(topic.sent) == publishers.MOST_EDGES + 100
     assert topic.sent[-1].seq == 10 + 10_000 + 99
     assert meters.edges == 10_110
 
@@ -118,37 +121,36 @@ def samples(count, temperature=30.0):
     )
 
 
-def test_temperature_comes_ten_times_a_second(node):
-    publisher = InertialPublisher(node, 'imu')
+def test_temperature_comes_ten_times_a_second(node, publisher):
     node.topics['temperature'].listeners = 1
     for k in range(50):
-        publisher.publish(samples(10), ORIGIN_US + 10_000 * k)
+        publisher.samples(samples(10), ORIGIN_US + 10_000 * k)
     sent = node.topics['temperature'].sent
     times = [stamp_to_us(message.header.stamp) for message in sent]
     assert np.diff(times).tolist() == [100_000] * 4
     assert sent[0].temperature == 30.0
     assert node.topics['imu/data_raw'].sent == []
-    publisher.publish(samples(1, np.nan), ORIGIN_US + 10**7)
+    publisher.samples(samples(1, np.nan), ORIGIN_US + 10**7)
     assert len(sent) == 5
 
 
-@pytest.mark.parametrize('wanted', ['image_raw', 'camera_info', 'image_exposure', 'none', 'all'])
-def test_frames_are_published_only_for_those_who_listen(node, identity, wanted):
-    publisher = FramePublisher(node, 'cam', lambda info: info)
+FRAME_TOPICS = {'image_raw', 'camera_info', 'image_exposure'}
+
+
+@pytest.mark.parametrize(
+    'wanted', [*({each} for each in sorted(FRAME_TOPICS)), set(), FRAME_TOPICS]
+)
+def test_frames_are_published_only_for_those_who_listen(node, publisher, identity, wanted):
     for name, topic in node.topics.items():
-        topic.listeners = wanted in {name, 'all'}
+        topic.listeners = name in wanted
     image = np.zeros((260, 346), np.uint16)
-    publisher.publish(
-        Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
-    )
-    sent = {name for name, topic in node.topics.items() if topic.sent}
-    assert sent == (set(node.topics) if wanted == 'all' else {wanted} - {'none'})
+    publisher.frame(Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity)
+    assert {name for name, topic in node.topics.items() if topic.sent} == wanted
     headers = [topic.sent[0].header for topic in node.topics.values() if topic.sent]
     assert all(stamp_to_us(header.stamp) == ORIGIN_US + 15 for header in headers)
 
 
-def test_packets_after_a_pause_begin_where_the_stream_is(node):
-    meters = DriverMeters()
+def test_packets_after_a_pause_begin_where_the_stream_is(node, meters):
     publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, meters)
     topic = node.topics['events']
 

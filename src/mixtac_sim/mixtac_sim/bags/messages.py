@@ -33,7 +33,6 @@ from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.stream import Oscillator
 from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
-from mixtac_sim.world.instruments import ReferenceSensor
 from mixtac_sim.world.sensor import truth_wrench
 from mixtac_sim.world.trial import Stretch, TrialStream
 
@@ -57,6 +56,7 @@ class TrialClocks:
 
     Attributes:
         skew_ppm: Rate of the camera's clock over the host's, less one [1e-6].
+        camera: The camera's clock since its reset.
         epoch_ns: Host time at true time 0 [ns since the Unix epoch].
         origin_us: Host time at which the camera's clock read zero [us since the Unix epoch].
     """
@@ -67,16 +67,8 @@ class TrialClocks:
         )
         self.epoch_ns = FIRST_DAY_NS + HOUR_NS * (trial_seed % HOURS)
         self.origin_us = self.epoch_ns // 1000
-        self._oscillator = Oscillator(self.skew_ppm)
+        self.camera = Oscillator(self.skew_ppm)
         self._delays = stream(trial_seed, 'usb delay')
-
-    def to_camera_us(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Convert true time [us] to the camera's clock since its reset [us]."""
-        return self._oscillator.to_camera(true_us)
-
-    def camera_us(self, true_us: int) -> int:
-        """Convert one true time [us] to the camera's clock since its reset [us]."""
-        return self._oscillator.now(true_us)
 
     def to_host_ns(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert true time [us] to the host's [ns since the Unix epoch]."""
@@ -91,10 +83,6 @@ class TrialClocks:
         arrivals = self.to_host_ns(end_us) + np.round(1000 * delays_us).astype(np.int64)
         return np.asarray(np.maximum.accumulate(arrivals), np.int64)
 
-    def reference_rate(self, reference: ReferenceSensor) -> float:
-        """Return the true rate of the reference sensor's clock over the camera's."""
-        return (1.0 + 1e-6 * reference.drift_ppm) / (1.0 + 1e-6 * self.skew_ppm)
-
 
 class BagMessage(NamedTuple):
     """One message of a bag.
@@ -108,11 +96,6 @@ class BagMessage(NamedTuple):
     received_ns: int
     topic: str
     data: bytes
-
-
-def serialised(message: Any) -> bytes:  # noqa: ANN401
-    """Return a message of `mixtac_core.recordings.bag.blank_message` in CDR."""
-    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
 MPU9250: Final = 2
@@ -148,19 +131,17 @@ BATCH_NS: Final = 4_000_000
 """The virtual sensor publishes truth and reference every 4 ms."""
 
 
-def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
-    """Simulate a trial and yield its messages in the order of their reception.
+class TrialMessages:
+    """Simulates a trial and yields its messages in the order of their reception.
 
     Args:
         trial: A trial that has not begun.
     """
-    return _TrialMessages(trial).run()
 
-
-class _TrialMessages:
     def __init__(self, trial: TrialStream) -> None:
         self._trial, self._clocks = trial, TrialClocks(trial.spec.trial_seed)
         self._waiting: list[BagMessage] = []
+        self._serialize = typestore().serialize_cdr
         self._packetizer, self._map = Packetizer(), ClockMap()
         self._clock_due_ns = self._temperature_due_us = 0
         self._packets = PacketWriter(topics.CAMERA_FRAME, SIZE)
@@ -172,8 +153,8 @@ class _TrialMessages:
         self._wrench = topics.WrenchWriter(topics.CONTACT_FRAME)
         self._reference = topics.WrenchWriter(topics.REFERENCE_FRAME)
 
-    def run(self) -> Iterator[BagMessage]:
-        """Yield all messages."""
+    def __iter__(self) -> Iterator[BagMessage]:
+        """Yield all messages; only once."""
         self._put_clock_fit()
         for stretch in self._trial.stretches():
             self._put_camera(stretch)
@@ -183,8 +164,9 @@ class _TrialMessages:
         yield from self._received_before(1 << 63)
 
     def _put(self, received_ns: int, topic: str, message: Any) -> None:  # noqa: ANN401
-        data = message if isinstance(message, bytes) else serialised(message)
-        self._waiting.append(BagMessage(received_ns, topic, data))
+        if not isinstance(message, bytes):
+            message = bytes(self._serialize(message, message.__msgtype__))
+        self._waiting.append(BagMessage(received_ns, topic, message))
 
     def _received_before(self, until_ns: int) -> list[BagMessage]:
         due = [message for message in self._waiting if message.received_ns < until_ns]
@@ -198,7 +180,8 @@ class _TrialMessages:
         clocks, reference = self._clocks, self._trial.reference
         message = blank_message(topics.TRUTH_CLOCK_FIT.type_name)
         messages.set_header(message, clocks.epoch_ns, '')
-        message.a, message.b = clocks.reference_rate(reference), reference.offset_s
+        message.a = (1.0 + 1e-6 * reference.drift_ppm) / (1.0 + 1e-6 * clocks.skew_ppm)
+        message.b = reference.offset_s
         message.camera_epoch = message.reference_epoch = 1e-9 * clocks.epoch_ns
         message.method, message.message = 'simulation', 'true relation of the clocks'
         self._put(clocks.epoch_ns, topics.TRUTH_CLOCK_FIT.name, message)
@@ -247,7 +230,7 @@ class _TrialMessages:
     ) -> None:
         events, origin_us = stretch.sensor.events, self._clocks.origin_us
         cuts = np.searchsorted(events.t, ends).tolist()
-        camera_us = self._clocks.to_camera_us(events.t)
+        camera_us = self._clocks.camera.to_camera(events.t)
         published = Events(camera_us + origin_us, events.x, events.y, events.polarity)
         reached = self._reached(stretch, ends, camera_us, cuts).tolist()
         first = 0
@@ -268,12 +251,12 @@ class _TrialMessages:
         cuts: list[int],
     ) -> NDArray[np.int64]:
         """Return the latest camera time [us] that each transfer states."""
-        wraps = self._clocks.to_camera_us(ends - 1) // WRAP_US * WRAP_US
+        wraps = self._clocks.camera.to_camera(ends - 1) // WRAP_US * WRAP_US
         times = np.concatenate([[self._reached_us], camera_us])
         latest = np.maximum(wraps, times[np.array(cuts)])
         if stretch.readings:
             read = np.array([reading.t_us for reading in stretch.readings], np.int64)
-            known = np.concatenate([[self._reached_us], self._clocks.to_camera_us(read)])
+            known = np.concatenate([[self._reached_us], self._clocks.camera.to_camera(read)])
             latest = np.maximum(latest, known[np.searchsorted(read, ends)])
         latest = np.maximum(np.maximum.accumulate(latest), self._reached_us)
         self._reached_us = int(latest[-1])
@@ -300,7 +283,7 @@ class _TrialMessages:
 
     def _decoded(self, frame: ApsFrame) -> Frame:
         """Return the frame as the driver's decoder has it."""
-        camera_us = self._clocks.camera_us
+        camera_us = self._clocks.camera.now
         return Frame(
             image=frame.intensity,
             x=0,
@@ -317,7 +300,7 @@ class _TrialMessages:
         self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
     ) -> None:
         true_us = np.array([reading.t_us for reading in stretch.readings], np.int64)
-        samples = decoded_samples(stretch.readings, self._clocks.to_camera_us(true_us))
+        samples = decoded_samples(stretch.readings, self._clocks.camera.to_camera(true_us))
         received = (arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS).tolist()
         times_us = (samples.t + self._clocks.origin_us).tolist()
         message, warm = self._imu, samples.temperature.tolist()

@@ -22,7 +22,7 @@ from mixtac_core.node import topics
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_sim.bags.messages import trial_messages
+from mixtac_sim.bags.messages import TrialMessages
 from mixtac_sim.world.trial import TrialStream
 
 NAMESPACE: Final = 'mixtac'
@@ -79,7 +79,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> Non
                 )
                 for each in BAG_TOPICS
             }
-            for message in trial_messages(trial):
+            for message in TrialMessages(trial):
                 writer.write(connections[message.topic], message.received_ns, message.data)
         partial.rename(folder / spec.name)
     except OSError as error:

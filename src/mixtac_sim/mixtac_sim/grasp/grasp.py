@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup, ObjectMotion
-from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
+from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, make_skin, slide
 from mixtac_sim.grids import STEP_US, stream
 from mixtac_sim.mechanics.contact import ContactPath
 from mixtac_sim.mechanics.elastomer import Layer
@@ -35,7 +35,7 @@ FALL_SUBSTEPS = 8
 def advance_object(
     body: Floats,
     motion: ObjectMotion,
-    skin: Patches,
+    skin: Skin,
     normal_n: Floats,
     path: Floats,
     patches: Floats,
@@ -73,7 +73,7 @@ def advance_object(
             body[2] = 0.0 if speed * way < 0.0 else speed
             body[1] += step * body[2]
         path[k, 0], path[k, 1], path[k, 2] = body[1], body[2], pull
-        patches[k] = skin.shear
+        patches[k] = skin.shear_mm
 
 
 HOLD_S = 0.2
@@ -104,9 +104,10 @@ def hold(setup: GraspSetup, press: Press, force_n: float, surface_seed: int) -> 
     rng = np.random.default_rng(surface_seed)
     is_round = OBJECTS[setup.name].face.shape == 'sphere'
     radius_mm = float(press.gel.radius_at(press.elastic_n))
-    skin = Skin(press.layer, radius_mm, setup.friction, rng, round_face=is_round)
+    skin = make_skin(press.layer, radius_mm, setup.friction, rng, round_face=is_round)
     static = setup.friction.static(SETTLE_S)
-    skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
+    borne_n = setup.weight_n * static / (static + setup.wall_mu)
+    skin.shear_mm[:], skin.age_s[:] = borne_n / skin.stiffness.sum(), SETTLE_S
     *_, settled, last = creep_mm(setup, skin, np.full(2 * HOLD_STEPS, force_n))
     if last > FALLEN_MM:
         return skin, False
@@ -129,7 +130,7 @@ def creep_mm(setup: GraspSetup, skin: Skin, normal_n: Floats) -> list[float]:
     for first in range(0, len(normal_n), HOLD_STEPS):
         part = normal_n[first : first + HOLD_STEPS]
         path, patches = np.empty((len(part), 3)), np.empty((len(part), len(skin.shear_mm)))
-        advance_object(body, motion, skin.patches(), part, path, patches)
+        advance_object(body, motion, skin, part, path, patches)
         places.append(float(body[1]))
         if places[-1] > FALLEN_MM:
             break
@@ -167,8 +168,6 @@ def critical_force_n(
     raise SimulationError(f'no force up to {force:.2f} N holds {setup}; its surface is too uneven')
 
 
-DOWN = (0.0, 1.0)
-"""Gravity in the image: the sensor is mounted upright."""
 UNTOUCHED = 1 << 40
 """Added to the seed of a trial for the noise of the time before it."""
 FREE_STEPS = 80
@@ -251,7 +250,7 @@ class Grasp:
         self.camera: SkinCamera | None = None
         self._day = (device, conditions, preset)
         if camera:
-            self.camera = SkinCamera(*self._day, seed, self._press, self._skin, DOWN)
+            self.camera = SkinCamera(*self._day, seed, self._press, self._skin)
         self.device: DeviceModel = device
         self._seed = seed
 
@@ -274,11 +273,11 @@ class Grasp:
     def free_frames(self, count: int) -> list[ApsFrame]:
         """Return frames of the same sensor and day, taken before anything touched it."""
         # A new skin is free of shear; another seed, because noise does not repeat.
-        skin = Skin(
+        skin = make_skin(
             self._press.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
         )
         seed = self._seed + UNTOUCHED
-        camera = SkinCamera(*self._day, seed, self._press, skin, DOWN, elastic_n=0.0)
+        camera = SkinCamera(*self._day, seed, self._press, skin, elastic_n=0.0)
         frames = list[ApsFrame]()
         block = np.zeros(FREE_STEPS)
         while len(frames) < count:
@@ -292,7 +291,11 @@ class Grasp:
             advance_mm: Displacement of the fingertip towards the object since the start of the
                 grasp, at the end of each step of 125 us [n] [mm].
         """
-        return self._go_on(self._press.move(advance_mm))
+        contact = self._press.move(advance_mm)
+        normal, count = contact.force_n, len(advance_mm)
+        path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
+        advance_object(self._body, self._motion, self._skin, normal, path, patches)
+        return self._seen(contact, path, patches)
 
     def grip_anew(self, force_n: Floats, place_mm: float) -> GraspBlock:
         """Advance by one block in which a hand holds the object where it was held.
@@ -311,14 +314,6 @@ class Grasp:
         path = np.zeros((len(share), 3))
         path[:, 2] = patches @ self._skin.stiffness
         self._body[0] += 1e-6 * STEP_US * len(share)
-        return self._seen(contact, path, patches)
-
-    def _go_on(self, contact: ContactPath) -> GraspBlock:
-        """Move the object as far as the contact allows, and evaluate the skin."""
-        normal = contact.force_n
-        count = len(normal)
-        path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
-        advance_object(self._body, self._motion, self._skin.patches(), normal, path, patches)
         return self._seen(contact, path, patches)
 
     def _seen(self, contact: ContactPath, path: Floats, patches: Floats) -> GraspBlock:

@@ -84,17 +84,11 @@ class PacedClock(SimulationClock):
 
     Args:
         paces: Further limits.
-        monotonic_ns: The host's monotonic clock [ns].
-        epoch_ns: The host's clock [ns since the Unix epoch].
+        host: Clocks of the host, as of `SimulationClock`.
     """
 
-    def __init__(
-        self,
-        paces: Sequence[AnswerPace] = (),
-        monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        epoch_ns: Callable[[], int] = time.time_ns,
-    ) -> None:
-        super().__init__(monotonic_ns, epoch_ns)
+    def __init__(self, paces: Sequence[AnswerPace] = (), *host: Callable[[], int]) -> None:
+        super().__init__(*host)
         self._lock = Lock()
         self._paces = tuple(paces)
         self._reached_us = self._last_us = 0

@@ -33,9 +33,8 @@ CREEP_MM_S = 1e-3
 """Slip speed below which a contact counts as holding [mm/s] (choice)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Friction:
-    """Friction of one pair of surfaces.
+class Friction(NamedTuple):
+    """Friction of one pair of surfaces, also for compiled code.
 
     Attributes:
         mu: mu0, the coefficient at 1 mm/s in steady sliding.

@@ -50,57 +50,8 @@ def patch_places(radius_mm: float) -> Floats:
     return np.concatenate(places)
 
 
-class SkinLaw(NamedTuple):
-    """Friction of the object on the skin, for compiled code.
-
-    Attributes:
-        mu: Coefficient at 1 mm/s in steady sliding.
-        rate: Direct effect per factor e of the slip speed.
-        ageing: Strength gained per factor e of the time at rest.
-        slip_mm: Slip over which a contact renews itself [mm].
-        nodes_per_mm: Nodes of the surface per slipped distance [1/mm].
-        resistance: Resistance of a patch to the speed of the skin [N s/mm].
-    """
-
-    mu: float
-    rate: float
-    ageing: float
-    slip_mm: float
-    nodes_per_mm: float
-    resistance: float
-
-
-class Patches(NamedTuple):
-    """What the kernels need of a skin; the first three change.
-
-    Attributes:
-        shear: Displacement of each patch [patch] [mm].
-        age: State theta of each patch [patch] [s].
-        slid: Distance slipped on each patch [patch] [mm].
-        stiffness: Stiffness of the gel under each patch [patch] [N/mm].
-        shares: Share of the normal force on each patch [patch].
-        surface: Unevenness of the object [patch, NODES].
-        law: Friction of the object on the skin.
-    """
-
-    shear: Floats
-    age: Floats
-    slid: Floats
-    stiffness: Floats
-    shares: Floats
-    surface: Floats
-    law: SkinLaw
-
-
-class Skin:
-    """State of the patches.
-
-    Args:
-        layer: The sensing layer.
-        radius_mm: Contact radius [mm].
-        friction: Against the object.
-        round_face: Whether pressure falls towards the rim, as under a ball.
-        rng: Draws the object's surface.
+class Skin(NamedTuple):
+    """The skin under an object, in patches; shear, age and slid distance change.
 
     Attributes:
         radius_mm: Contact radius [mm].
@@ -108,49 +59,58 @@ class Skin:
         shear_mm: Displacement of each patch along the pull [16] [mm].
         age_s: State theta of each patch [16] [s].
         slid_mm: Distance the object has slipped on each patch [16] [mm].
-        stiffness: Shear stiffness of each patch [16] [N/mm].
+        stiffness: Shear stiffness of the gel under each patch [16] [N/mm].
         shares: Share of the normal force on each patch [16].
-        surface: Unevenness of the object along its slip [16, 512].
+        surface: Unevenness of the object along its slip [16, NODES].
+        friction: Friction of the object on the skin.
+        resistance: Resistance of a patch to the speed of the skin [N s/mm].
     """
 
-    def __init__(
-        self,
-        layer: Layer,
-        radius_mm: float,
-        friction: Friction,
-        rng: np.random.Generator,
-        *,
-        round_face: bool = False,
-    ) -> None:
-        self.friction, self.radius_mm = friction, radius_mm
-        self.places_mm = patch_places(radius_mm)
-        count = len(self.places_mm)
-        away = np.hypot(*self.places_mm.T) / radius_mm
-        pressure = np.sqrt(1.0 - away**2) if round_face else np.ones(count)
-        self.shares = pressure / pressure.sum()
-        total = shear_stiffness(layer, radius_mm)
-        self.stiffness = np.full(count, total / count)
-        self._resistance = wave_resistance(layer, radius_mm) / count
-        self.shear_mm = np.zeros(count)
-        self.age_s = np.full(count, 1e-3)
-        self.slid_mm = np.zeros(count)
-        self.surface = _surface(rng, count, friction.roughness)
+    radius_mm: float
+    places_mm: Floats
+    shear_mm: Floats
+    age_s: Floats
+    slid_mm: Floats
+    stiffness: Floats
+    shares: Floats
+    surface: Floats
+    friction: Friction
+    resistance: float
 
-    def rest(self, pull_n: float, rest_s: float) -> None:
-        """Set the state of a skin that has borne a pull [N] for a time [s]."""
-        self.shear_mm[:] = pull_n / self.stiffness.sum()
-        self.age_s[:] = rest_s
 
-    def patches(self) -> Patches:
-        """Return state, gel, surface and friction as the kernel ``slide`` takes them."""
-        law = self.friction
-        return Patches(
-            *(self.shear_mm, self.age_s, self.slid_mm, self.stiffness, self.shares, self.surface),
-            SkinLaw(
-                *(law.mu, law.rate, law.ageing, law.slip_mm),
-                *(3.0 / law.grain_mm, self._resistance),
-            ),
-        )
+def make_skin(
+    layer: Layer,
+    radius_mm: float,
+    friction: Friction,
+    rng: np.random.Generator,
+    *,
+    round_face: bool = False,
+) -> Skin:
+    """Return a skin that nothing has pulled at.
+
+    Args:
+        layer: The sensing layer.
+        radius_mm: Contact radius [mm].
+        friction: Against the object.
+        rng: Draws the object's surface.
+        round_face: Whether pressure falls towards the rim, as under a ball.
+    """
+    places = patch_places(radius_mm)
+    count = len(places)
+    away = np.hypot(*places.T) / radius_mm
+    pressure = np.sqrt(1.0 - away**2) if round_face else np.ones(count)
+    return Skin(
+        radius_mm,
+        places,
+        shear_mm=np.zeros(count),
+        age_s=np.full(count, 1e-3),
+        slid_mm=np.zeros(count),
+        stiffness=np.full(count, shear_stiffness(layer, radius_mm) / count),
+        shares=pressure / pressure.sum(),
+        surface=_surface(rng, count, friction.roughness),
+        friction=friction,
+        resistance=wave_resistance(layer, radius_mm) / count,
+    )
 
 
 def shear_stiffness(layer: Layer, radius_mm: float) -> float:
@@ -204,17 +164,18 @@ def slip_speed(drive_n: float, strength_n: float, rate_n: float, damping: float)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def slide(patches: Patches, normal_n: float, speed_mm_s: float, step_s: float) -> float:
+def slide(skin: Skin, normal_n: float, speed_mm_s: float, step_s: float) -> float:
     """Advance all patches by one implicit step; return the pull [N].
 
     Args:
-        patches: The skin; its state changes.
+        skin: The skin; its state changes.
         normal_n: Normal force [N].
         speed_mm_s: Speed of the object [mm/s].
         step_s: Length of the step [s].
     """
-    shear, age, slid, stiffness, shares, surface, law = patches
-    mu, rate, ageing, slip_mm, nodes_per_mm, resistance = law
+    _, _, shear, age, slid, stiffness, shares, surface, friction, resistance = skin
+    mu, rate, ageing, slip_mm, _, grain_mm = friction
+    nodes_per_mm = 3.0 / grain_mm
     mean = np.mean(shear)
     pull = 0.0
     for i in range(shear.size):
@@ -391,6 +352,10 @@ class SkinBeads:
         return self._mean_mm, self._more_mm
 
 
+DOWN = (0.0, 1.0)
+"""Direction of gravity in the image, right and down: the sensor is mounted upright."""
+
+
 class SkinCamera:
     """The sensor's camera over a skin that sticks and slips, in blocks of any length.
 
@@ -403,7 +368,6 @@ class SkinCamera:
         seed: Seed of the trial.
         press: The fingertip on the object.
         skin: The skin at the start.
-        direction: Direction of the pull on the skin in the image, right and down, of length 1.
         elastic_n: Elastic part of the normal force at the start [N]; by default that of the press.
     """
 
@@ -415,13 +379,11 @@ class SkinCamera:
         seed: int,
         press: Press,
         skin: Skin,
-        direction: tuple[float, float],
         elastic_n: float | None = None,
     ) -> None:
         device, contact_mm = device.on_day(conditions), conditions.contact_mm
         self._beads = device.beads(press.layer, contact_mm, [press.face], [press.gel])
         self._moved = SkinBeads(device.markers, press.layer, contact_mm, skin)
-        self._direction = direction
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()
         spots = self._place(self._elastic_n)
@@ -431,7 +393,7 @@ class SkinCamera:
         self.configure_pixels = self._camera.configure_pixels
 
     def _place(self, elastic_n: float) -> Floats:
-        return self._beads.place(0, elastic_n, self._direction, self._moved.amounts())
+        return self._beads.place(0, elastic_n, DOWN, self._moved.amounts())
 
     def advance(self, elastic_n: Floats, patches_mm: Floats) -> tuple[Events, list[ApsFrame]]:
         """Return the events and the frames that ended over a block; times as of `Camera.advance`.

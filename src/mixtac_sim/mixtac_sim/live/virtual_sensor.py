@@ -317,23 +317,19 @@ class VirtualSensor:
         if version == self._settings_version:
             return
         self._settings_version = version
-        self._follow_aps()
+        wanted = (self.device.exposure_us, self.device.frame_interval_us)
+        if wanted != self._aps:
+            self._aps = wanted
+            # The camera takes frames as fast as it can when a shorter interval is set.
+            exposure_us = max(wanted[0], 1)
+            interval_us = max(wanted[1], exposure_us + READOUT_US + RESET_US)
+            first_us = self._simulated_us + RESET_US
+            self._simulation.configure_aps(ApsSettings(exposure_us, interval_us, first_us))
         biases = {place: self.device.register(Module.BIAS, place) for place in DEFAULT_REGISTERS}
         pixels = PixelSettings.from_biases(biases)
         if pixels != self._pixels:
             self._pixels = pixels
             self._simulation.configure_pixels(pixels)
-
-    def _follow_aps(self) -> None:
-        wanted = (self.device.exposure_us, self.device.frame_interval_us)
-        if wanted == self._aps:
-            return
-        self._aps = wanted
-        # The camera takes frames as fast as it can when a shorter interval is set.
-        exposure_us = max(wanted[0], 1)
-        interval_us = max(wanted[1], exposure_us + READOUT_US + RESET_US)
-        first_us = self._simulated_us + RESET_US
-        self._simulation.configure_aps(ApsSettings(exposure_us, interval_us, first_us))
 
     def _simulate(self) -> None:
         self._simulated_us += CHUNK_US

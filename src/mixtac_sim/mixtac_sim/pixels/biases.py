@@ -57,39 +57,6 @@ def current_a(register: int) -> float:
     return max(FULL_SCALE_A[coarse] * fine / 256.0, LEAKAGE_A)
 
 
-class PixelConstants(NamedTuple):
-    """Constants of a pixel by jAER's formulas.
-
-    Attributes:
-        threshold_on: ON threshold [log-e].
-        threshold_off: OFF threshold [log-e].
-        source_follower_hz: Corner of the source follower [Hz]. Above half the photoreceptor's
-            current the formula does not hold; the corner stays there.
-        refractory_us: Refractory time [us], a lower bound.
-    """
-
-    threshold_on: float
-    threshold_off: float
-    source_follower_hz: float
-    refractory_us: float
-
-    @classmethod
-    def from_registers(cls, registers: Mapping[int, int]) -> PixelConstants:
-        """Return the constants for register values by address.
-
-        What is missing or 0, as no host has written it yet, is at its default.
-        """
-        written = {place: value for place, value in registers.items() if value}
-        amperes = {p: current_a(value) for p, value in {**DEFAULT_REGISTERS, **written}.items()}
-        follower = min(amperes[FOLLOWER], 0.5 * amperes[PHOTORECEPTOR])
-        return cls(
-            _threshold(float(np.log(amperes[ON] / amperes[DIFF]))),
-            _threshold(float(np.log(amperes[DIFF] / amperes[OFF]))),
-            float(follower / (2.0 * np.pi * THERMAL_V * FOLLOWER_F)),
-            1e6 * REFRACTORY_C / amperes[REFRACTORY],
-        )
-
-
 def _threshold(log_ratio: float) -> float:
     return max(log_ratio / (SLOPE_FACTOR * CAPACITOR_RATIO), LEAST_THRESHOLD)
 
@@ -123,6 +90,24 @@ class PixelSettings:
     shot_lux: float = 4.0
 
     @staticmethod
+    def from_formulas(registers: Mapping[int, int]) -> PixelSettings:
+        """Return the settings by jAER's formulas for register values by address.
+
+        What is missing or 0, as no host has written it yet, is at its default. Above half the
+        photoreceptor's current the formula of the corner does not hold; the corner stays there. The
+        refractory time is a lower bound.
+        """
+        written = {place: value for place, value in registers.items() if value}
+        amperes = {p: current_a(value) for p, value in {**DEFAULT_REGISTERS, **written}.items()}
+        follower = min(amperes[FOLLOWER], 0.5 * amperes[PHOTORECEPTOR])
+        return PixelSettings(
+            threshold_on=_threshold(float(np.log(amperes[ON] / amperes[DIFF]))),
+            threshold_off=_threshold(float(np.log(amperes[DIFF] / amperes[OFF]))),
+            source_follower_hz=float(follower / (2.0 * np.pi * THERMAL_V * FOLLOWER_F)),
+            refractory_us=1e6 * REFRACTORY_C / amperes[REFRACTORY],
+        )
+
+    @staticmethod
     def from_biases(registers: Mapping[int, int]) -> PixelSettings:
         """Return the settings of a nominal chip with some bias registers.
 
@@ -135,7 +120,7 @@ class PixelSettings:
         reaches a lower threshold sooner.
         """
         nominal = PixelSettings()
-        now, usual = (PixelConstants.from_registers(each) for each in (registers, {}))
+        now, usual = (PixelSettings.from_formulas(each) for each in (registers, {}))
         on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
         speed = now.source_follower_hz / usual.source_follower_hz
         return replace(

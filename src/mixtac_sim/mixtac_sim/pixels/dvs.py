@@ -115,7 +115,7 @@ class Crossings(NamedTuple):
 
     Attributes:
         keys: Packed as in ``readout``; times count from the block's start.
-        tally: Number of keys, and number of crossings that did not fit [2], int64.
+        tally: Number of keys [1], int64; crossings that do not fit are lost.
     """
 
     keys: NDArray[np.int64]
@@ -226,7 +226,10 @@ def _fire(
         if since + ahead > span:
             break
         since += ahead
-        _note(crossings, start_ns - block_ns + int(since), pixel, rising)
+        if crossings.tally[0] < crossings.keys.size:
+            at_ns = start_ns - block_ns + int(since)
+            crossings.keys[crossings.tally[0]] = (at_ns << 18) | (pixel << 1) | (1 if rising else 0)
+            crossings.tally[0] += 1
         since += refractory_ns
         value = 0.0
         state.ready_ns[pixel] = start_ns + int(since)
@@ -234,17 +237,6 @@ def _fire(
             values[DIFFERENCE, j] = 0.0
             return
     values[DIFFERENCE, j] = value + slope * (span - since)
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
-def _note(crossings: Crossings, at_ns: int, pixel: int, rising: bool) -> None:
-    """Collect one crossing."""
-    tally = crossings.tally
-    if tally[0] < crossings.keys.size:
-        crossings.keys[tally[0]] = (at_ns << 18) | (pixel << 1) | (1 if rising else 0)
-        tally[0] += 1
-    else:
-        tally[1] += 1
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -364,7 +356,7 @@ class Dvs:
         self._row(FLOOR)[:] = _tiled(scene.floor)
         self._row(GAIN)[:] = _tiled(scene.gain)
         self.light_by(Flicker(0.0, 0.0))
-        self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
+        self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(1, np.int64))
         self.configure(settings)
         # Pixels start anywhere between two leak events.
         self._row(DIFFERENCE)[:] = self._row(ON) * rng.random((TILES, TILE), np.float32)

@@ -102,12 +102,6 @@ BURST_NS = 60_000
 """Time over which a frame's reset or readout disturbs pixels [ns] (estimate)."""
 
 
-def shot_rate_hz(light_lux: NDArray[np.float32], settings: PixelSettings) -> NDArray[np.float64]:
-    """Return the rate of shot-noise events of pixels, both polarities [Hz]; less in the light."""
-    rate = settings.shot_hz / (1.0 + light_lux.astype(np.float64) / settings.shot_lux)
-    return np.asarray(rate)
-
-
 class NoiseSource:
     """Noise events, block by block; the light at rest sets their rates.
 
@@ -127,7 +121,9 @@ class NoiseSource:
         frame_burst: float,
         seed: int,
     ) -> None:
-        self._cumulative = np.cumsum(shot_rate_hz(light_lux, settings))
+        # Shot noise, both polarities [Hz]; less in the light.
+        rate_hz = settings.shot_hz / (1.0 + light_lux.astype(np.float64) / settings.shot_lux)
+        self._cumulative = np.cumsum(rate_hz)
         self._hot_pixel = spread.hot_pixel.astype(np.int64)
         self._hot = np.cumsum(spread.hot_hz)
         self._frame_burst = frame_burst

@@ -21,14 +21,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.faults import (
-    Fault,
-    FaultInjector,
-    UsbBusy,
-    UsbGone,
-    UsbStall,
-    UsbTimeout,
-)
+from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout
 from mixtac_sim.usb.registers import (
     CLOCK_DEVIATION,
     USB_MHZ,
@@ -57,7 +50,6 @@ _CLEAR_FEATURE: Final = 1
 _GET_DESCRIPTOR: Final = 6
 _GET_CONFIGURATION: Final = 8
 _SET_CONFIGURATION: Final = 9
-_CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
 _ENDPOINTS: Final = {endpoints.DATA_ENDPOINT, endpoints.DEBUG_ENDPOINT}
 _LONGEST_WAIT_S: Final = 3600.0
 
@@ -92,7 +84,6 @@ class VirtualDavis346:
         # A session that began before the last plugging-in is dead, like a handle of its file.
         self._plugs, self._present = 0, True
         self._owner: Session | None = None
-        self._faults = FaultInjector(self._condition)
         self._oldest_s, self._wanted = 0.0, sys.maxsize
         self._stream = StreamAssembler(fifo_bytes)
         self.settings_version = 0
@@ -104,7 +95,7 @@ class VirtualDavis346:
         """Remove the device: requests under way and later ones end with `UsbGone`."""
         with self._condition:
             self._present = False
-            self._faults.clear()
+            self._condition.notify_all()
 
     def plug_in(self, serial: str = '') -> None:
         """Attach the device again, as after power-up; sessions from before do not continue.
@@ -116,27 +107,11 @@ class VirtualDavis346:
             self.serial = serial or self.serial
             self._present, self._owner = True, None
             self._plugs += 1
-            self._faults.clear()
             self._power_up()
-
-    def inject(self, fault: Fault) -> None:
-        """Inject a fault."""
-        with self._condition:
-            self._faults.begin(fault)
-
-    def clear_faults(self) -> None:
-        """End all faults."""
-        with self._condition:
-            self._faults.clear()
+            self._condition.notify_all()
 
     def control(
-        self,
-        request_type: int,
-        request: int,
-        value: int,
-        index: int,
-        data: bytes | int,
-        timeout_s: float | None = None,
+        self, request_type: int, request: int, value: int, index: int, data: bytes | int
     ) -> bytes:
         """Answer a control request.
 
@@ -146,30 +121,21 @@ class VirtualDavis346:
             value: ``wValue``.
             index: ``wIndex``.
             data: Bytes to the device, or how many are wanted from it.
-            timeout_s: Longest wait of the host [s]; None waits without limit.
 
         Returns:
             The response; empty for requests to the device.
 
         Raises:
             UsbStall: The device does not know the request or refuses its content.
-            UsbTimeout: A fault of the device: no answer in time.
             UsbGone: The device was unplugged.
         """
-        limit_s = math.inf if timeout_s is None else timeout_s
         with self._condition:
             self.check_present()
-            plugs = self._plugs
-            self._faults.before_control(request_type, limit_s)
-            self.check_present(plugs)
             if request_type & _IN:
                 wanted = data if isinstance(data, int) else len(data)
-                answer = self._answer(request_type, request, value, index)[:wanted]
-                return self._faults.answer(request_type, answer)
+                return self._answer(request_type, request, value, index)[:wanted]
             sent = b'' if isinstance(data, int) else data
             self._obey(request_type, request, value, index, sent)
-            if (request_type, request, index) == _CLEAR_DATA_HALT:
-                self._faults.halt_cleared()
             return b''
 
     def read_bulk(self, endpoint: int, length: int, timeout_s: float | None) -> bytes:
@@ -188,16 +154,30 @@ class VirtualDavis346:
 
         Raises:
             UsbTimeout: Nothing came in time.
-            UsbStall: There is no such endpoint, or it is halted.
+            UsbStall: There is no such endpoint.
             UsbGone: The device was unplugged.
         """
+        if endpoint not in _ENDPOINTS:
+            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        most, fifo = length & ~1, self._stream.fifo
         with self._condition:
-            self.check_present()
-            count = self._wait(endpoint, length, timeout_s)
-            data = bytes(self._stream.fifo[:count])
-            # Whole words leave the buffer: half of a word that was cut is lost.
-            del self._stream.fifo[: count + count % 2]
-            return data
+            plugs = self._plugs
+            while True:
+                self.check_present(plugs)
+                now = time.monotonic()
+                ready_at = math.inf
+                if fifo and endpoint == endpoints.DATA_ENDPOINT:
+                    ready_at = now if len(fifo) >= most else self._oldest_s + self._early_packet_s()
+                if ready_at <= now:
+                    self._oldest_s, self._wanted = now, sys.maxsize
+                    data = bytes(fifo[:most])
+                    del fifo[:most]
+                    return data
+                if now >= deadline:
+                    raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
+                self._wanted = min(self._wanted, most)
+                self._condition.wait(min(ready_at, deadline, now + _LONGEST_WAIT_S) - now)
 
     @property
     def plugs(self) -> int:
@@ -361,39 +341,6 @@ class VirtualDavis346:
             return
         self._condition.notify_all()
 
-    def _wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
-        """Wait until a read can be answered; return how many bytes it gets. See `read_bulk`."""
-        if endpoint not in _ENDPOINTS:
-            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        plugs = self._plugs
-        is_data = endpoint == endpoints.DATA_ENDPOINT
-        while True:
-            self.check_present(plugs)
-            if is_data:
-                self._faults.before_read()
-            now = time.monotonic()
-            ready_at = self._ready_at(length, now) if is_data else None
-            if ready_at is not None and ready_at <= now:
-                self._oldest_s, self._wanted = now, sys.maxsize
-                return self._faults.granted(min(length & ~1, len(self._stream.fifo)))
-            if deadline is not None and now >= deadline and not (is_data and self._faults.is_hung):
-                raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
-            self._wanted = min(self._wanted, length & ~1)
-            moments = (self._faults.thaws_at, ready_at, deadline, now + _LONGEST_WAIT_S)
-            self._condition.wait(min(m for m in moments if m is not None and m > now) - now)
-
-    def _ready_at(self, length: int, now: float) -> float | None:
-        if self._faults.is_frozen:
-            return None
-        fifo = self._stream.fifo
-        del fifo[: self._faults.take_dropped(len(fifo))]
-        if not fifo:
-            return None
-        if len(fifo) >= length & ~1:
-            return now
-        return self._oldest_s + self._early_packet_s()
-
     def _restart_time(self, *, announce: bool) -> None:
         was_empty = not self._stream.fifo
         self._reset_host_us = time.time_ns() // 1000
@@ -402,16 +349,15 @@ class VirtualDavis346:
 
     def _answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
         """Answer a request for data."""
-        answer: bytes | None = None
         if (request_type, request) == (_VENDOR_IN, _REGISTER):
-            answer = _VALUE.pack(self._registers.read(value, index))
-        elif not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
+            return _VALUE.pack(self._registers.read(value, index))
+        if not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
+            return bytes((self._configuration,))
+        if not request_type & _TYPE_MASK and request == _GET_DESCRIPTOR:
             answer = endpoints.descriptor(value >> 8, value & 0xFF, self.serial)
-        elif not request_type & _TYPE_MASK and request == _GET_CONFIGURATION:
-            answer = bytes((self._configuration,))
-        if answer is None:
-            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
-        return answer
+            if answer is not None:
+                return answer
+        raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
 
     def _obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
         """Carry out a request that sends data or none."""
@@ -437,8 +383,6 @@ class VirtualDavis346:
                 self._restart_time(announce=True)
             elif param == Mux.TIMESTAMP_RUN:
                 self._restart_time(announce=False)
-            elif param == Mux.RUN:
-                self._faults.restarted()
         if (module, param) == (Module.APS, Aps.RUN) and value:
             self._stream.snapshot = True
         if module == Module.USB:
@@ -464,10 +408,10 @@ class Session:
         self._device = device
         self._plugs = device.plugs
 
-    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request; see `VirtualDavis346.control`. 0 waits without limit."""
+    def control(self, setup: Setup, data: bytes | int) -> bytes:
+        """Make a control request; see `VirtualDavis346.control`."""
         self._device.check_present(self._plugs)
-        return self._device.control(*setup, data, timeout_ms / 1000 or None)
+        return self._device.control(*setup, data)
 
     def read(self, endpoint: int, length: int, timeout_ms: int) -> bytes:
         """Read from an endpoint; see `VirtualDavis346.read_bulk`. 0 waits without limit."""

@@ -11,8 +11,6 @@ the same way.
 
 from __future__ import annotations
 
-import errno
-import secrets
 import socket
 import threading
 from contextlib import contextmanager, suppress
@@ -23,11 +21,10 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb import endpoints, wire
-from mixtac_sim.usb.faults import (
+from mixtac_sim.usb.errors import (
     NoVirtualSensorError,
     UsbBusy,
     UsbGone,
-    UsbOverflow,
     UsbStall,
     UsbTimeout,
     VirtualUsbError,
@@ -46,10 +43,6 @@ _GET_DESCRIPTOR: Final = 6
 _SUPER_SPEED: Final = 4
 # Bus number to show; no real bus has it.
 _BUS: Final = 346
-# Error codes of libusb; -1 for all others.
-_LIBUSB: Final = {errno.ENODEV: -4, errno.EBUSY: -6, errno.EOVERFLOW: -8, errno.EPIPE: -9}
-# libusb and the kernel wait this long for the answers to standard requests.
-_STANDARD_MS: Final = 1000
 
 
 @contextmanager
@@ -57,9 +50,9 @@ def _as_usb_errors() -> Iterator[None]:
     try:
         yield
     except UsbTimeout as error:
-        raise USBTimeoutError(str(error), -7, errno.ETIMEDOUT) from error
+        raise USBTimeoutError(str(error), errno=error.errno) from error
     except VirtualUsbError as error:
-        raise USBError(str(error), _LIBUSB.get(error.errno, -1), error.errno) from error
+        raise USBError(str(error), errno=error.errno) from error
 
 
 def _described(fields: Mapping[str, int], **more: object) -> SimpleNamespace:
@@ -112,9 +105,6 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         """Return the endpoint of this index; `IndexError` if there is none."""
         return _described(endpoints.ENDPOINTS[ep], bRefresh=0, bSynchAddress=0)
 
-    def get_parent(self, dev: object) -> None:
-        """Return None: the camera is not behind a hub."""
-
     def open_device(self, dev: object) -> Link:
         """Start a host session."""
         with _as_usb_errors():
@@ -127,12 +117,12 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     def set_configuration(self, dev_handle: Link, config_value: int) -> None:
         """Choose a configuration."""
         with _as_usb_errors():
-            dev_handle.control((0x00, 9, config_value, 0), b'', _STANDARD_MS)
+            dev_handle.control((0x00, 9, config_value, 0), b'')
 
     def get_configuration(self, dev_handle: Link) -> int:
         """Return the value of the active configuration."""
         with _as_usb_errors():
-            return dev_handle.control((0x80, 8, 0, 0), 1, _STANDARD_MS)[0]
+            return dev_handle.control((0x80, 8, 0, 0), 1)[0]
 
     def claim_interface(self, dev_handle: Link, intf: int) -> None:
         """Claim the interface for this session."""
@@ -171,16 +161,16 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
             view: Any = memoryview(data).cast('B')
             setup = (bmRequestType, bRequest, wValue, wIndex)
             if not bmRequestType & 0x80:
-                dev_handle.control(setup, bytes(view), timeout)
+                dev_handle.control(setup, bytes(view))
                 return len(view)
-            answer = dev_handle.control(setup, len(view), timeout)
+            answer = dev_handle.control(setup, len(view))
             view[: len(answer)] = answer
             return len(answer)
 
     def clear_halt(self, dev_handle: Link, ep: int) -> None:
         """Clear a halted endpoint."""
         with _as_usb_errors():
-            dev_handle.control((0x02, 1, 0, ep), b'', _STANDARD_MS)
+            dev_handle.control((0x02, 1, 0, ep), b'')
 
 
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
@@ -190,18 +180,13 @@ def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
     return VirtualBackend(lambda: Session(device))
 
 
-_CONTROL_CHANNEL: Final = 0
-# Time beyond its time-out after which an answer counts as lost and the server as dead.
+# Longest wait for what the server answers at once, and for an answer after the time-out of a read.
 _GRACE_S: Final = 5.0
-# Longest wait for requests that the server answers without the camera.
-_QUICK_MS: Final = 100
-_ERRORS: Final = {
-    kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy, UsbOverflow)
-}
+_ERRORS: Final = {kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy)}
 
 
 class SocketLink:
-    """One host session over Unix sockets: one connection for control, one for each endpoint.
+    """One host session over Unix sockets: one connection for requests, one for reads.
 
     Args:
         path: Where the server listens.
@@ -212,72 +197,54 @@ class SocketLink:
 
     def __init__(self, path: str) -> None:
         self._path = path
-        self._session = secrets.randbits(63) | 1
-        self._closed = False
-        self._lock = threading.Lock()
-        self._channels: dict[int, tuple[socket.socket, threading.Lock]] = {}
-        self._channel(_CONTROL_CHANNEL)
+        self._requests, self._reads = _connect(path), _connect(path)
+        self._requesting, self._reading = threading.Lock(), threading.Lock()
 
-    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
+    def control(self, setup: Setup, data: bytes | int) -> bytes:
         """Make a control request; arguments as of `Session.control`."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
-        return self._call(wire.CONTROL, setup, timeout_ms, sent, wanted)
+        return self._request(wire.CONTROL, setup, sent, wanted)
 
     def read(self, endpoint: int, length: int, timeout_ms: int) -> bytes:
         """Read from an endpoint; arguments as of `Session.read`."""
-        setup = (endpoint, 0, 0, 0)
-        return self._call(wire.READ, setup, timeout_ms, wanted=length, channel=endpoint)
+        with self._reading:
+            return self._call(self._reads, wire.READ, (endpoint, 0, 0, 0), b'', length, timeout_ms)
 
     def claim(self) -> None:
         """Claim the interface for this session."""
-        self._call(wire.CLAIM)
+        self._request(wire.CLAIM)
 
     def release(self) -> None:
         """Give the interface back."""
-        self._call(wire.RELEASE)
+        self._request(wire.RELEASE)
 
     def close(self) -> None:
-        """End the session; reads that wait end with `UsbGone`."""
+        """End the session; a read that waits ends with `UsbGone`."""
         # The server notices a closed connection only later; the next host must not wait.
         with suppress(VirtualUsbError):
             self.release()
-        with self._lock:
-            self._closed = True
-            channels, self._channels = self._channels, {}
-        for connection, _ in channels.values():
+        for connection in (self._requests, self._reads):
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
             connection.close()
 
-    def _call(
-        self,
-        operation: int,
-        setup: Setup = (0, 0, 0, 0),
-        timeout_ms: int = _QUICK_MS,
-        data: bytes = b'',
-        wanted: int = 0,
-        channel: int = _CONTROL_CHANNEL,
+    def _request(
+        self, operation: int, setup: Setup = (0, 0, 0, 0), data: bytes = b'', wanted: int = 0
     ) -> bytes:
-        connection, lock = self._channel(channel)
+        with self._requesting:
+            return self._call(self._requests, operation, setup, data, wanted, 1)
+
+    def _call(self, connection: socket.socket, *request: Any) -> bytes:  # noqa: ANN401
         try:
-            with lock:
-                # A server that was stopped must not block its hosts.
-                connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
-                sent = (operation, setup, data, wanted, timeout_ms, self._session)
-                return wire.call(connection, *sent)
+            timeout_ms = request[-1]
+            # A server that was stopped must not block its hosts.
+            connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
+            return wire.call(connection, *request)
         except wire.TransferError as error:
             kind = _ERRORS.get(error.errno or 0, VirtualUsbError)
             raise kind(f'virtual camera on {self._path}: {error.strerror}') from error
         except OSError as error:
             raise UsbGone(f'virtual camera on {self._path} is gone: {error}') from error
-
-    def _channel(self, number: int) -> tuple[socket.socket, threading.Lock]:
-        with self._lock:
-            if self._closed:
-                raise UsbGone('the virtual camera was closed; open it again')
-            if number not in self._channels:
-                self._channels[number] = (_connect(self._path), threading.Lock())
-            return self._channels[number]
 
 
 def _connect(path: str) -> socket.socket:

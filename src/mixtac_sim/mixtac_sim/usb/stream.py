@@ -276,19 +276,19 @@ class StreamAssembler:
 
     def _send(self, events: Events, blocks: Blocks, until_us: int) -> None:
         before = self._encoder.state.copy()
-        if len(self.fifo) <= _EVENT_SHARE * self._capacity:
-            words = self._encoder.encode(events, blocks, until_us)
-            if self.push(words):
-                rows = int(np.count_nonzero(words & 0xF000 == ROW_WORD))
-                self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
-                self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
-                return
-            self._encoder.state[:] = before
+        if len(self.fifo) > _EVENT_SHARE * self._capacity:
+            self._count_dropped(len(events))
+            events = Events.empty()
+        words = self._encoder.encode(events, blocks, until_us)
+        if self.push(words):
+            rows = int(np.count_nonzero(words & 0xF000 == ROW_WORD))
+            self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
+            self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
+            return
+        self._encoder.state[:] = before
         self._count_dropped(len(events))
-        if not self.push(self._encoder.encode(Events.empty(), blocks, until_us)):
-            self._encoder.state[:] = before
-            self.frames_dropped += bool(len(blocks.t) or len(self._readout.t))
-            self._readout = Blocks.empty()
+        self.frames_dropped += bool(len(blocks.t) or len(self._readout.t))
+        self._readout = Blocks.empty()
 
     def _count_dropped(self, events: int) -> None:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)

@@ -5,10 +5,10 @@
 Standard library only: the tests run it under another interpreter.
 
 A request is `REQUEST` (operation, bmRequestType or endpoint, bRequest, wValue, wIndex, data length,
-timeout in ms where 0 means none, session), followed by that many bytes where data go to the device.
-A reply is `REPLY` (0 or an errno value, length), followed by that many bytes. One request at a time
-travels on a connection; a host opens one connection for control and one for each endpoint, all
-under one session number of its choice, so that the interface belongs to the session.
+timeout in ms where 0 means none), followed by that many bytes where data go to the device. A reply
+is `REPLY` (0 or an errno value, length), followed by that many bytes. One request at a time travels
+on a connection; a host opens one connection for control requests, which may claim the interface,
+and others for reads.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import struct
 from pathlib import Path
 from typing import Final
 
-REQUEST: Final = struct.Struct('<BBBxHHIIQ')
+REQUEST: Final = struct.Struct('<BBBxHHII')
 REPLY: Final = struct.Struct('<iI')
 CONTROL: Final = 1
 READ: Final = 2
@@ -62,7 +62,6 @@ def call(
     data: bytes = b'',
     wanted: int = 0,
     timeout_ms: int = 0,
-    session: int = 0,
 ) -> bytes:
     """Send one request and wait for its reply.
 
@@ -73,7 +72,6 @@ def call(
         data: Data to the device.
         wanted: Bytes wanted from the device, where none are sent.
         timeout_ms: Longest wait [ms], 0 without limit.
-        session: Number of the host session.
 
     Returns:
         The data of the reply.
@@ -83,7 +81,7 @@ def call(
         ConnectionError: The server is gone.
     """
     length = len(data) or wanted
-    header = REQUEST.pack(operation, *setup, length, timeout_ms, session)
+    header = REQUEST.pack(operation, *setup, length, timeout_ms)
     connection.sendall(header + data)
     status, size = REPLY.unpack(receive(connection, REPLY.size))
     answer = receive(connection, size)

@@ -34,8 +34,6 @@ class Camera:
         spots: Images of the beads at the start [n, 4], as of `BeadMotion.place`.
         flicker: Flicker of the lamp.
         elastic_n: Elastic part of the normal force at the start [N].
-        aps: When frames are taken; by default with the exposure of the day.
-        pixels: Settings of the DVS pixels of a nominal chip.
     """
 
     def __init__(
@@ -47,8 +45,6 @@ class Camera:
         spots: Floats,
         flicker: Flicker,
         elastic_n: float = 0.0,
-        aps: ApsSettings | None = None,
-        pixels: PixelSettings | None = None,
     ) -> None:
         self._device, self._conditions, self._seed = device, conditions, seed
         self._renderer = Renderer(device.markers.opacity)
@@ -58,8 +54,8 @@ class Camera:
                 device.lens, device.lighting, device.mesh_n_per_mm, conditions.contact_mm
             )
         exposure = ApsSettings(exposure_us=round(7_000 * conditions.exposure))
-        self._aps = Aps(device.seed, seed, device.dn_per_lux_ms, aps or exposure, device.grain)
-        settings = device.pixel_settings(pixels or PixelSettings(), conditions)
+        self._aps = Aps(device.seed, seed, device.dn_per_lux_ms, exposure, device.grain)
+        settings = device.pixel_settings(PixelSettings(), conditions)
         self._dvs = Dvs(device.scene, device.spread, settings, stream(seed, 'pixel state'))
         self._show(spots, elastic_n)
         self._dvs.settle(self._renderer.cover)

@@ -54,7 +54,7 @@ class Conditions:
         friction: Friction over the device's.
         camera_shift_px: Shift of the camera, right and down [px].
         camera_roll_rad: Rotation of the camera [rad].
-        exposure: Exposure over 7 ms, unless one is set.
+        exposure: Exposure over 7 ms, until one is set.
         growth_per_s: How fast the gel grows [1/s].
         second: Ratio of the forces of a second contact and the first; 0 for one contact.
         second_mm: Place of the second contact from the first, right and down [mm].

@@ -183,7 +183,7 @@ class ReferenceSensor:
         self.offset_s = rng.uniform(-timing.offset_s, timing.offset_s)
         self.drift_ppm = rng.uniform(-timing.drift_ppm, timing.drift_ppm)
         self.delay_s = rng.uniform(*timing.delay_s)
-        self._mix = _mixing(rng, timing) + _coupling(stream(seed, 'reference coupling'), timing)
+        self._mix = _mixing(rng, stream(seed, 'reference coupling'), timing)
         self._noise = rng.uniform(*timing.noise_n) * REFERENCE_UNITS
         self._drift = rng.normal(0.0, 1.0, (2, 6)) * np.outer(
             [timing.slope_n, timing.wave_n], REFERENCE_UNITS
@@ -249,22 +249,15 @@ class ReferenceSensor:
         self._past_us, self._past = self._past_us[first:], self._past[first:]
 
 
-def _mixing(rng: Generator, timing: TimingEffects) -> Floats:
-    """Return gain errors, and cross-talk between axes."""
+def _mixing(rng: Generator, coupled: Generator, timing: TimingEffects) -> Floats:
+    """Return gain errors, and cross-talk between axes and between forces and torques."""
     error = timing.cross_talk
     mix = np.diag(1.0 + rng.uniform(-error, error, 6))
-    for block in (slice(0, 3), slice(3, 6)):
-        mix[block, block] += rng.normal(0.0, error, (3, 3)) * (1.0 - np.eye(3))
+    for own, other in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
+        mix[own, own] += rng.normal(0.0, error, (3, 3)) * (1.0 - np.eye(3))
+        ratio = np.outer(REFERENCE_UNITS[own], 1.0 / REFERENCE_UNITS[other])
+        mix[own, other] = coupled.normal(0.0, timing.coupling, (3, 3)) * ratio
     return np.asarray(mix)
-
-
-def _coupling(rng: Generator, timing: TimingEffects) -> Floats:
-    """Return cross-talk between forces and torques."""
-    coupling = np.zeros((6, 6))
-    for rows, columns in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
-        ratio = np.outer(REFERENCE_UNITS[rows], 1.0 / REFERENCE_UNITS[columns])
-        coupling[rows, columns] = rng.normal(0.0, timing.coupling, (3, 3)) * ratio
-    return coupling
 
 
 ACCELERATION_NOISE_G = 0.004

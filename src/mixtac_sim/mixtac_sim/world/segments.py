@@ -8,7 +8,7 @@ nothing touches the sensor until a scenario is played.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from threading import Lock
 from typing import NamedTuple
 
@@ -87,17 +87,13 @@ class Segment:
         span = np.maximum(knots[after] - knots[k], 1e-9)
         u = np.clip((since_s - knots[k]) / span, 0.0, 1.0)
         base = values[k] + (values[after] - values[k]) * u * u * (3.0 - 2.0 * u)
-        return np.asarray(base + self._tones(since_s))
-
-    def _tones(self, since_s: Floats) -> Floats:
-        """Return the sum of the tones."""
         total = np.zeros_like(since_s)
         left = self.end_s - self.start_s - since_s
         for tone in self.tones:
             fade = np.clip(np.minimum(since_s, left) / tone.fade_s, 0.0, 1.0)
             phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
             total += tone.amplitude * fade**2 * np.sin(phase)
-        return total
+        return np.asarray(base + total)
 
 
 Commands = tuple[NDArray[np.int8], Floats, NDArray[np.int8]]
@@ -124,14 +120,6 @@ class Profile:
     duration_s: float
     segments: tuple[Segment, ...]
     sync_s: tuple[float, ...] = ()
-    _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
-    _moving: tuple[Segment, ...] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        """Collect the starts of the segments, to search among, and those that move."""
-        object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
-        moving = tuple(s for s in self.segments if any(s.move) or any(s.roll) or s.pull)
-        object.__setattr__(self, '_moving', moving)
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
@@ -154,10 +142,9 @@ class Profile:
         targets = np.zeros(count)
         tools = np.zeros(count, np.int8)
         indenters = self.indenters
-        begin = max(int(np.searchsorted(self._starts, times[0])) - 1, 0)
-        for segment in self.segments[begin:]:
-            if segment.start_s > times[-1]:
-                break
+        for segment in self.segments:
+            if segment.start_s > times[-1] or segment.end_s < times[0]:
+                continue
             inside = (times > segment.start_s) & (times <= segment.end_s)
             modes[inside] = segment.mode
             targets[inside] = segment.target(times[inside] - segment.start_s)
@@ -173,11 +160,12 @@ class Profile:
             the end of each step [N], nan where nothing pulls [count, 7]; None if nothing in the
             profile moves so.
         """
-        if not self._moving:
+        moving = [s for s in self.segments if any(s.move) or any(s.roll) or s.pull]
+        if not moving:
             return None
         times = np.arange(first, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
         steps = still(count)
-        for segment in self._moving:
+        for segment in moving:
             if segment.start_s < times[-1] and segment.end_s > times[0]:
                 u = (times - segment.start_s) / (segment.end_s - segment.start_s)
                 u = np.clip(u, 0.0, 1.0)

@@ -15,8 +15,7 @@ from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
 from mixtac_sim.mechanics.sliding import Across, Sliding
 from mixtac_sim.optics.beads import SlidingBeads
-from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
-from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device, draw_flicker
 from mixtac_sim.world.effects import EASY, Preset
@@ -119,8 +118,6 @@ class TactileSensor:
         device_seed: Seed of the sensor.
         trial_seed: Seed of the trial.
         profile: Commands of what touches the sensor; after its end nothing does.
-        aps: Settings of the frames.
-        pixels: Settings of the DVS pixels of a nominal chip.
         preset: Difficulty of the sensor.
         session: Seed of the day, which trials of one session share: mount, lamp, contact point,
             temperature of the gel; None for a day of its own.
@@ -138,8 +135,6 @@ class TactileSensor:
         device_seed: int,
         trial_seed: int,
         profile: Profile | LiveProfile,
-        aps: ApsSettings | None = None,
-        pixels: PixelSettings | None = None,
         *,
         preset: Preset = EASY,
         session: int | None = None,
@@ -177,16 +172,8 @@ class TactileSensor:
         self._other = device.beads(layer, (x, y), tools, self._laws) if self._second else None
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._rest = rest.copy()
-        self._camera = Camera(
-            device,
-            conditions,
-            preset,
-            trial_seed,
-            rest,
-            draw_flicker(day, preset.light),
-            aps=aps,
-            pixels=pixels,
-        )
+        flicker = draw_flicker(day, preset.light)
+        self._camera = Camera(device, conditions, preset, trial_seed, rest, flicker)
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels
         self._block = 0

@@ -18,7 +18,7 @@ from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_sim.bags.messages import TrialClocks
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.world.trial import TrialStream
 
 SPEC = TrialSpec('press_one', 'press', 2.8, 11, 12, 'easy', 'train')
@@ -159,7 +159,7 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     trial, clocks = TrialStream(SPEC), TrialClocks(SPEC.trial_seed)
     begin = true_times < clocks.epoch_ns + 1_000_000_000
     peak_us = (true_times[begin][true_forces[begin, 2].argmax()] - clocks.epoch_ns) // 1000
-    camera_s = 1e-6 * (clocks.camera_us(int(peak_us)) + clocks.origin_us)
+    camera_s = 1e-6 * (clocks.camera.now(int(peak_us)) + clocks.origin_us)
     expected = fit.a * (camera_s - fit.camera_epoch) + fit.b + trial.reference.delay_s
     near = np.abs(1e-9 * (times - clocks.epoch_ns) - expected) < 0.1
     measured = 1e-9 * (times[near][forces[near, 2].argmax()] - clocks.epoch_ns)

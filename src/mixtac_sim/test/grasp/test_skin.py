@@ -10,13 +10,7 @@ from numba import njit
 from scipy.optimize import brentq
 
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
-from mixtac_sim.grasp.skin import (
-    Patches,
-    Skin,
-    shear_stiffness,
-    slide,
-    slip_speed,
-)
+from mixtac_sim.grasp.skin import Skin, make_skin, shear_stiffness, slide, slip_speed
 from mixtac_sim.mechanics.elastomer import Layer
 
 LAYER = Layer(160.0, 4.0)
@@ -25,21 +19,19 @@ STEP_S = 15.625e-6
 
 
 @njit
-def _slide_on(patches: Patches, force: float, speed: float, step: float, count: int) -> None:
-    for _ in range(count):
-        slide(patches, force, speed, step)
-
-
 def _drag(skin: Skin, speed: float, force: float, step: float, count: int) -> None:
-    _slide_on(skin.patches(), force, speed, step, count)
+    for _ in range(count):
+        slide(skin, force, speed, step)
 
 
 def _pull_n(skin: Skin) -> float:
     return float(np.dot(skin.stiffness, skin.shear_mm))
 
 
-def _skin(friction: Friction = EVEN) -> Skin:
-    return Skin(LAYER, 6.0, friction, np.random.default_rng(0))
+def _skin(pull_n: float, rest_s: float) -> Skin:
+    skin = make_skin(LAYER, 6.0, EVEN, np.random.default_rng(0))
+    skin.shear_mm[:], skin.age_s[:] = pull_n / skin.stiffness.sum(), rest_s
+    return skin
 
 
 @settings(max_examples=1000)
@@ -59,8 +51,7 @@ def test_slip_speed_solves_its_equation(
 
 @pytest.mark.parametrize('speed', [1.0, 10.0, 50.0])
 def test_steady_sliding_pulls_with_the_steady_coefficient(speed: float) -> None:
-    skin, force = _skin(), 0.8
-    skin.rest(0.5, 1.0)
+    skin, force = _skin(0.5, 1.0), 0.8
     count = round(60 * EVEN.slip_mm / speed / STEP_S) + 20_000
     _drag(skin, speed, force, STEP_S, count)
     steady = EVEN.mu + (EVEN.rate - EVEN.ageing) * np.log(speed / REFERENCE_MM_S)
@@ -68,8 +59,7 @@ def test_steady_sliding_pulls_with_the_steady_coefficient(speed: float) -> None:
 
 
 def test_below_friction_the_gel_is_a_spring() -> None:
-    skin = _skin()
-    skin.rest(0.0, 10.0)
+    skin = _skin(0.0, 10.0)
     # 20 um at 2 mm/s under 2 N: the pull stays far below friction.
     _drag(skin, 2.0, 2.0, STEP_S, 640)
     assert _pull_n(skin) == pytest.approx(shear_stiffness(LAYER, 6.0) * 0.02, rel=1e-3)
@@ -79,8 +69,7 @@ def test_below_friction_the_gel_is_a_spring() -> None:
 def test_a_rested_contact_is_stronger_than_a_sliding_one() -> None:
     peak, steady = [], []
     for rest_s in (0.1, 10.0):
-        skin = _skin()
-        skin.rest(0.5, rest_s)
+        skin = _skin(0.5, rest_s)
         pulls = []
         for _ in range(300):
             _drag(skin, 10.0, 0.8, STEP_S, 8)

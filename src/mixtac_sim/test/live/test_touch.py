@@ -54,9 +54,6 @@ def control(sensor):
     return TouchControl(sensor)
 
 
-GESTURES = ('press', 'pull', 'slide', 'torsion', 'load', 'drop', 'vibrate', 'release')
-
-
 def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
     control.touch(gesture='slide', distance=1.5, hold=0.5)

@@ -22,7 +22,7 @@ from mixtac_sim.mechanics.elastomer import HEMISPHERE
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, ON, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.world.effects import EASY
 from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
 from mixtac_sim.world.segments import LiveProfile, Profile, Segment

@@ -15,7 +15,6 @@ from mixtac_sim.pixels.biases import (
     ON,
     PHOTORECEPTOR,
     REFRACTORY,
-    PixelConstants,
     PixelSettings,
     current_a,
 )
@@ -33,7 +32,7 @@ def test_currents_are_fractions_of_the_coarse_step():
 
 def test_known_settings_give_the_known_constants():
     # Diff 4,39; On 6,200; Pr 2,58; SF 1,33; Refr 4,25: 0.41 log-e, 590 Hz, 3.4 us.
-    found = PixelConstants.from_registers(
+    found = PixelSettings.from_formulas(
         {
             DIFF: register(4, 39),
             ON: register(6, 200),
@@ -60,7 +59,7 @@ def test_defaults_leave_a_chip_as_it_is():
 
 def test_thresholds_go_with_the_logarithm_of_the_current():
     settings = [
-        PixelConstants.from_registers({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
+        PixelSettings.from_formulas({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
     ]
     on = [s.threshold_on for s in settings]
     assert np.diff(on) == pytest.approx(np.log(8.0) / 14.0, rel=0.02)

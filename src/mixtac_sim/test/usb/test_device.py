@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import UsbGone, UsbStall, UsbTimeout
+from mixtac_sim.usb.errors import UsbGone, UsbStall, UsbTimeout
 
 
 @pytest.fixture

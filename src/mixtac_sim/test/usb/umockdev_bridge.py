@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import errno
 import importlib.util
-import secrets
 import socket
 import struct
 import subprocess
@@ -63,7 +62,6 @@ class Camera:
 
     def begin(self):
         """Begin a session; the one before ends with its connections."""
-        self.session = secrets.randbits(63) | 1
         self.control_channel = self.connect()
 
     def connect(self):
@@ -74,7 +72,7 @@ class Camera:
     def call(self, connection, operation, **fields):
         """Return the kernel's status (0 or a negative errno) and the data."""
         try:
-            return 0, self.wire.call(connection, operation, session=self.session, **fields)
+            return 0, self.wire.call(connection, operation, **fields)
         except OSError as error:
             refused = isinstance(error, self.wire.TransferError)
             number = error.errno if refused else errno.ENODEV

@@ -12,7 +12,7 @@ import numpy as np
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.errors import UsbTimeout
 
 MUX, DVS, APS, IMU, USB = 0, 1, 2, 3, 9
 

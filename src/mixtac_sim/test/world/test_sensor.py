@@ -20,8 +20,13 @@ def tap(duration=1.0, start=0.1, force=0.8):
     return Profile('tap', duration, (press,))
 
 
-def sensor(device=1, trial=2, profile=None, **more):
-    return TactileSensor(device, trial, profile or tap(), **more)
+def sensor(device=1, trial=2, profile=None, pixels=None, aps=None, preset=EASY):
+    body = TactileSensor(device, trial, profile or tap(), preset=preset)
+    if pixels is not None:
+        body.configure_pixels(pixels)
+    if aps is not None:
+        body.configure_aps(aps)
+    return body
 
 
 def same_events(a, b):
@@ -156,7 +161,7 @@ def shake(frequency, settings, preset=EVEN, seconds=0.8):
     tone = Tone(0.1, frequency, 0.0, 0.05)
     hold = Segment(0.2, seconds, Mode.POSITION, (0.0,), (0.5,), (tone,))
     profile = Profile('vibration', seconds, (press, hold))
-    body = TactileSensor(1, 2, profile, NO_FRAMES, settings, preset=preset)
+    body = sensor(profile=profile, pixels=settings, aps=NO_FRAMES, preset=preset)
     return body.advance(round(1e6 * seconds)).events.between(300_000, 800_000)
 
 
