@@ -225,7 +225,7 @@ def test_a_contact_at_the_start_is_felt_from_the_first_window_on(model, trial):
     estimator.push_events(Events.empty(), START_US)
     (found,) = estimator.push_events(Events.empty(), START_US + 2000)
     assert abs(estimator.frame_force) > 1e-3
-    assert found.force == pytest.approx(estimator.frame_force, rel=0.2)
+    assert found.force == pytest.approx(estimator.frame_force, rel=0.3)
 
 
 def test_frames_that_nobody_fetches_do_not_pile_up():
