@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac.figures import new_axes, save_figure
 from mixtac_learning.experiments.harness import (
     NETWORKS,
+    PAPER,
+    TRUTH,
     Context,
     Outcome,
     Row,
@@ -28,7 +31,6 @@ from mixtac_learning.experiments.models import (
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import peak_error
-from mixtac_learning.judge.report import PAPER, TRUTH, new_axes, save_figure
 from mixtac_learning.train.config import OURS
 
 STABILITY_PAPER = (0.08, 0.07, 0.07, 0.07, 0.06)

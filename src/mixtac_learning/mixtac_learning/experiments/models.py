@@ -24,11 +24,12 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac.figures import make_table
+from mixtac.options import JsonFile
 from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import Model as Weights
 from mixtac_fger.weights import read_model, write_model
-from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
     NETWORKS,
     PRESET,
@@ -43,7 +44,6 @@ from mixtac_learning.experiments.harness import (
 )
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
 from mixtac_learning.judge.metrics import by_profile, measure
-from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
 from mixtac_learning.trials.samples import prepare

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac.figures import new_axes, save_figure
 from mixtac_core.events.arrays import Events
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import Estimate, open_estimator
@@ -30,6 +31,7 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.experiments.harness import (
     NETWORKS,
+    PAPER,
     PRESET,
     Context,
     Outcome,
@@ -38,7 +40,6 @@ from mixtac_learning.experiments.harness import (
     experiment,
 )
 from mixtac_learning.judge.estimators import stream
-from mixtac_learning.judge.report import PAPER, new_axes, save_figure
 from mixtac_learning.train.config import OURS
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.arm import READY, JointTrajectoryController, LaggingArm, Trajectory, violations
