@@ -61,13 +61,14 @@ class TopicMeter:
 
     def __init__(self, topic: Topic) -> None:
         self.topic = topic
-        self._sequence = SequenceCounter()
         self.restart()
 
     def restart(self) -> None:
         """Count from zero."""
         self.messages = self.size = self.missing = self.longest_gap_ns = 0
         self._first_ns = self._last_ns = 0
+        # Packets that got lost before the bag was open are not missing in it.
+        self._sequence = SequenceCounter()
 
     def add(self, received_ns: int, data: bytes) -> bool:
         """Count a serialised message, arrived at a host time [ns]; return whether it is whole."""
