@@ -87,7 +87,6 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys):
     training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
     figures = json.loads(report.read_text())['metrics']['unseen_devices']
     assert figures['all']['mae'] == pytest.approx(card.metrics['unseen_devices']['all']['mae'])
-    assert figures['all']['reference_mae'] > 0.0
     assert picture.exists()
 
 

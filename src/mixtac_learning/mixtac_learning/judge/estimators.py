@@ -42,7 +42,6 @@ class TrialEstimate:
         t_us: End of each window [us], int64 [T].
         force: Estimate [N], float64 [T].
         known: Force to compare with: the true one, else the reference's [N] [T].
-        reference: Reference's force, None if it is absent or equals `known` [N] [T].
         frames_only: The model's force of the latest frame, None if it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
@@ -57,7 +56,6 @@ class TrialEstimate:
     t_us: NDArray[np.int64]
     force: NDArray[np.float64]
     known: NDArray[np.float64]
-    reference: NDArray[np.float64] | None
     frames_only: NDArray[np.float64] | None = None
     deviation: NDArray[np.float64] | None = None
     reasons: NDArray[np.uint8] | None = None
@@ -212,7 +210,6 @@ def _estimate(
             remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
         )
     times = t_us[inside]
-    reference = trial.reference if trial.truth is not None else None
     fields: dict[str, Any] = {
         name: None if column is None else column[inside] for name, column in columns.items()
     }
@@ -222,7 +219,6 @@ def _estimate(
         device=sensor_of(trial.origin, 'unknown'),
         t_us=times,
         known=label.at(times).astype(np.float64),
-        reference=None if reference is None else reference.at(times).astype(np.float64),
         known_across=None if trial.across is None else trial.across.at(times).astype(np.float64),
         **fields,
     )

@@ -32,7 +32,7 @@ def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
     Returns:
         `samples`, their number; `mae`, `rmse`; `r2`, the coefficient of determination, absent where
         the truth does not vary; `constant_mae`, the MAE of the truth's median: what no sensor at
-        all achieves; `peak_truth` and `peak_estimate`, the largest forces.
+        all achieves; `peak_truth`, the largest force.
     """
     truth, estimate = truth.astype(np.float64), estimate.astype(np.float64)
     error = estimate - truth
@@ -43,7 +43,6 @@ def measure(truth: Forces, estimate: Forces) -> dict[str, float]:
         'rmse': float(np.sqrt(np.mean(error**2))),
         'constant_mae': float(np.mean(np.abs(truth - np.median(truth)))),
         'peak_truth': float(truth.max()),
-        'peak_estimate': float(estimate.max()),
     }
     return found | ({'r2': 1.0 - float(np.sum(error**2)) / spread} if spread > 0.0 else {})
 
@@ -155,10 +154,9 @@ def summarise(
     Returns:
         `trials`; of all windows together the fields of `measure`, `INTERVALS` and `mean_deviation`
         [N], the latter two where the model gives deviations; the mean over
-        trials of `peak_error`; `reference_mae` against the measured reference where the true force
-        is the label; `frames_only_mae` where the model has such an output; errors across the
-        normal (`sideways_mae` per axis [N], `torque_mae_nmm`) with the mean sizes of the true
-        values, where they are known; with scales `calibrated_mae` and `calibrated_rmse`.
+        trials of `peak_error`; errors across the normal (`sideways_mae` per axis [N],
+        `torque_mae_nmm`) with the mean sizes of the true values, where they are known; with scales
+        `calibrated_mae`.
     """
     known = _joined(e.known for e in estimates)
     figures: dict[str, Any] = measure(known, _joined(e.force for e in estimates))
@@ -170,14 +168,9 @@ def summarise(
     both = [(a, k) for a, k in pairs if k is not None]
     if both:
         figures |= across_errors(_joined(a for a, _ in both), _joined(k for _, k in both))
-    reference = [e.force - e.reference for e in estimates if e.reference is not None]
-    frames = [e.frames_only - e.known for e in estimates if e.frames_only is not None]
-    for name, errors in (('reference_mae', reference), ('frames_only_mae', frames)):
-        if errors:
-            figures[name] = float(np.abs(_joined(errors)).mean())
     if scales is not None:
-        after = measure(known, _joined(scales.get(e.device, 1.0) * e.force for e in estimates))
-        figures |= {f'calibrated_{name}': after[name] for name in ('mae', 'rmse')}
+        errors = _joined(scales.get(e.device, 1.0) * e.force - e.known for e in estimates)
+        figures['calibrated_mae'] = float(np.abs(errors).mean())
     return {'trials': len(estimates)} | {name: round(v, 4) for name, v in figures.items()}
 
 

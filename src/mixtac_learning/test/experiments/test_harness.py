@@ -65,7 +65,7 @@ def estimate(seconds, seed=0, error=0.1, held=1):
     known = np.sin(1e-6 * t_us) ** 2
     force = known + random.normal(0.0, error, len(t_us))
     force = np.repeat(force[::held], held)[: len(t_us)]
-    return TrialEstimate('trial', 'long_term', '7', t_us, force, known, None)
+    return TrialEstimate('trial', 'long_term', '7', t_us, force, known)
 
 
 def test_rows_spread_over_seeds():

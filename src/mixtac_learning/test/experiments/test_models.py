@@ -31,7 +31,7 @@ def estimates(errors, profiles):
     t_us, known = 2000 * np.arange(1000), np.linspace(0.0, 1.0, 1000)
     return {
         seed: [
-            TrialEstimate('t', profile, 'd', t_us, known + error * factor, known, None)
+            TrialEstimate('t', profile, 'd', t_us, known + error * factor, known)
             for factor, profile in enumerate(profiles, start=1)
         ]
         for seed, error in enumerate(errors)
