@@ -25,11 +25,8 @@ def test_bags_are_written_and_counted(tmp_path):
     words = ('--profile', 'idle', '--trials', 2, '--seconds', 3, '--preset', 'easy', '--out', out)
     result = run(*words, '--jobs', 1, '--compress')
     assert result.exit_code == 0, result.output
-    said = ' '.join(result.output.split())
-    assert '2 bags written' in said
-    assert '1 train, 1 test' in said
-    again = run(*words, '--jobs', 1)
-    assert '0 bags written' in again.output
+    assert '2 bags written' in ' '.join(result.output.split())
+    assert '0 bags written' in run(*words, '--jobs', 1).output
     description = DatasetDescription.read(out)
     assert (description.name, description.preset, description.complete) == ('idle', 'easy', True)
 
