@@ -224,17 +224,12 @@ def error_rows(
         conditions: Which trials these are.
     """
     metrics = [pooled(estimates) for estimates in by_seed.values()]
-    return [
-        Row(
-            f'{name}: {title}',
-            Value.of(each.get(key, math.nan) for each in metrics),
-            paper.get(key),
-            place,
-            unit,
-            conditions,
-        )
-        for key, title, unit in (('mae', 'MAE', 'N'), ('rmse', 'RMSE', 'N'), ('r2', 'R2', ''))
-    ]
+    rows = []
+    for key, unit in (('mae', 'N'), ('rmse', 'N'), ('r2', '')):
+        value = Value.of(each.get(key, math.nan) for each in metrics)
+        title = f'{name}: {key.upper()}'
+        rows.append(Row(title, value, paper.get(key), place, unit, conditions))
+    return rows
 
 
 def rate_hz(estimates: Sequence[TrialEstimate]) -> float:

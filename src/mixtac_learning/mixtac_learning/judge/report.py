@@ -32,15 +32,8 @@ from mixtac_learning.trials.trial import DatasetError, SimulatedSource
 from mixtac_sim.world.plans import TrialSpec, evaluation_plan
 
 COLUMNS = (
-    'mae',
-    'rmse',
-    'r2',
-    'calibrated_mae',
-    'sideways_mae',
-    'torque_mae_nmm',
-    'peak_error',
-    'coverage_68',
-    'coverage_95',
+    *('mae', 'rmse', 'r2', 'calibrated_mae', 'sideways_mae', 'torque_mae_nmm', 'peak_error'),
+    *('coverage_68', 'coverage_95'),
 )
 """Figures that are shown, in this order; those that no row has are left out."""
 

@@ -294,17 +294,8 @@ def _features(
 
 
 UNSEEN_BY_SAMPLES = {
-    'reference_stillness',
-    'event_hidden',
-    'event_size',
-    'frame_widths',
-    'frame_size',
-    'lstm_size',
-    'mlp_size',
-    'event_shortcut',
-    'frame_context',
-    'force_unit',
-    'shear',
+    *('reference_stillness', 'event_hidden', 'event_size', 'frame_widths', 'frame_size'),
+    *('lstm_size', 'mlp_size', 'event_shortcut', 'frame_context', 'force_unit', 'shear'),
     'history_windows',
 }
 """Fields of the configuration that do not change what a sample holds."""
