@@ -90,6 +90,7 @@ def evaluate(
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
     from mixtac_learning.judge import report
+    from mixtac_learning.judge.estimators import trial_estimator
 
     path = find_model(model)
     content: dict[str, Any] = {'model': str(path)}
@@ -97,7 +98,7 @@ def evaluate(
     if bags:
         estimates, found = report.judge_bags(trained, bags, reference)
     else:
-        estimator, devices = report.trial_estimator(trained), unseen_devices(gels, seed)
+        estimator, devices = trial_estimator(trained), unseen_devices(gels, seed)
         estimates, found = report.judge_devices(estimator, devices, seconds, seed, preset)
         content['simulated'] = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
     title = f'{path.name} on {len(estimates)} {"bags" if bags else "simulated trials"}'

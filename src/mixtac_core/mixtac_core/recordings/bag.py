@@ -73,7 +73,7 @@ def blank_message(type_name: str) -> Any:  # noqa: ANN401
     """
     types, definition = typestore(), typestore().get_msgdef(type_name)
     # Read from zeros, in the format of ROS 1, whose texts may be empty.
-    message, _ = definition.deserialize_ros1(bytearray(ZEROS), 0, definition.cls, types)
+    message, _ = definition.deserialize_ros1(memoryview(bytearray(ZEROS)), 0, definition.cls, types)
     return message
 
 

@@ -15,7 +15,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from mixtac_core.node.graph import PATIENCE_S, config_file, node, sensor_graph, slip_control
 from mixtac_core.node.process import GraphError
 
-
 FROM_PIP = ('numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
 """Modules that pip installs, but YAML."""
 
