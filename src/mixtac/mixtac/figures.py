@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 FORCE = '#e07b00'  # colours, by what is drawn
 REFERENCE = '#1f4e8c'
 EVENTS = '#5a5a5a'
+TRUTH = '#1f1f1f'
+PAPER = '#8a8a8a'
 DPI = 110
 
 

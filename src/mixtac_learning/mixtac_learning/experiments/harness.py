@@ -42,10 +42,6 @@ from mixtac_sim.world.plans import simulator_digest
 T = TypeVar('T')
 PRESET = 'paper_like'
 """Difficulty preset of the simulated sensors."""
-TRUTH = '#1f1f1f'
-"""Colour of the true force."""
-PAPER = '#8a8a8a'
-"""Colour of the paper's values."""
 
 
 @dataclass(frozen=True, slots=True)
