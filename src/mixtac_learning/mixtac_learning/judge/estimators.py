@@ -205,10 +205,8 @@ def _estimate(
     label, name = trial.label(), str(trial.origin.get('name', 'trial'))
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
     if not inside.any():
-        raise DatasetError(
-            f'{name} gives no estimate',
-            remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
-        )
+        remedy = f'begin trials with {SETTLE_FRAMES} frames without contact'
+        raise DatasetError(f'{name} gives no estimate', remedy=remedy)
     times = t_us[inside]
     fields: dict[str, Any] = {
         name: None if column is None else column[inside] for name, column in columns.items()

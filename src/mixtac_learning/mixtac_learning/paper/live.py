@@ -79,10 +79,9 @@ class PaperEstimator(Estimator):
         """
         config, network = self._config, self._network
         if image.shape != (config.height, config.width):
+            wanted = f'the model reads {config.height} rows and {config.width} columns'
             raise ImageError(
-                f'image of shape {image.shape}; the model reads {config.height} rows and'
-                f' {config.width} columns',
-                remedy='set the camera to full resolution',
+                f'image of {image.shape}: {wanted}', remedy='set the camera to full resolution'
             )
         mean = np.empty(config.frame_shape, np.float32)
         bin_mean(image, config.scale, mean)
