@@ -307,8 +307,6 @@ class TrialPlan:
             of the trial, with the arm at rest and without a knock.
         knock_mm_s: Speed of the object after the knock [mm/s]; None to compute it from a random
             share of the momentum of the falling weight.
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
-            object.
         preset: Difficulty preset of the virtual sensor.
         settings: Settings of the slip controller.
         knock_s: Onset of the knock [s].
@@ -321,7 +319,6 @@ class TrialPlan:
     seed: int = 0
     margin: float = 1.05
     knock_mm_s: float | None = None
-    stiffness_n_per_mm: float | None = None
     preset: str = 'paper_like'
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
     knock_s: float = KNOCK_S
@@ -336,7 +333,6 @@ class TrialPlan:
             margin=self.margin,
             knock_mm_s=self.knock_mm_s,
             knock_s=knock_s,
-            stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
         if self.pulse_s is not None:
             setup = replace(setup, pulse_s=self.pulse_s)
