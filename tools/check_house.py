@@ -46,8 +46,8 @@ FLOORS = {
     'mixtac_fger': 2,
     'mixtac_slip_control': 2,
     'mixtac_sim': 3,
-    'mixtac_learning': 4,
-    'mixtac': 5,
+    'mixtac': 4,
+    'mixtac_learning': 5,
     'mixtac_bringup': 6,
 }
 RUN = frozenset({'mixtac_core', 'mixtac_driver', 'mixtac_fger', 'mixtac_slip_control'})

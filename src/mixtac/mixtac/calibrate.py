@@ -19,7 +19,7 @@ from mixtac.figures import make_table
 from mixtac.options import OptionalPath
 from mixtac.up import start_nodes
 from mixtac_core.node.graph import sensor_graph
-from mixtac_core.node.images import ImageConversionError, grey
+from mixtac_core.node.images import grey
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile
@@ -153,13 +153,10 @@ def labelled(message: Any) -> tuple[str, Any]:  # noqa: ANN401
     """Return the stamp of an image message as text [s], and its grey levels.
 
     Raises:
-        RecordingError: Unknown encoding, or fewer data than the size requires.
+        ImageConversionError: Unknown encoding, or fewer data than the size requires.
     """
     stamp = message.header.stamp
-    try:
-        return f'{stamp.sec}.{stamp.nanosec // 1_000_000:03d}', grey(message)
-    except ImageConversionError as error:
-        raise RecordingError(str(error)) from error
+    return f'{stamp.sec}.{stamp.nanosec // 1_000_000:03d}', grey(message)
 
 
 def print_solution(console: Console, solution: Solution) -> None:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import psutil
@@ -27,12 +27,10 @@ from mixtac_core.node.files import write_json
 from mixtac_core.node.graph import sensor_graph
 from mixtac_core.node.process import GraphError, ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, stamp_to_ns
-from mixtac_core.recordings.bag import BagFile
-from mixtac_fger.alignment.align import align
-from mixtac_fger.alignment.bags import read_recording
-from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit
-from mixtac_fger.alignment.histories import EventCounts, Recording
-from mixtac_sim.world.profiles import make_profile
+
+if TYPE_CHECKING:
+    from mixtac_fger.alignment.clock_fit import ClockFit
+    from mixtac_fger.alignment.histories import EventCounts, Recording
 
 SEED: Final = 1001
 """Seed of the scenario unless another is named."""
@@ -214,6 +212,12 @@ def evaluate(out: Path, seconds: float, seed: int) -> dict[str, Any]:
         `refused`: Why the alignment was refused, or empty; then gain, errors and drift are
             None.
     """
+    # Slow to import; the nodes start first.
+    from mixtac_core.recordings.bag import BagFile
+    from mixtac_fger.alignment.align import align
+    from mixtac_fger.alignment.bags import read_recording
+    from mixtac_fger.alignment.clock_fit import AlignmentError
+
     stamps_ns, force_n = [], []
     with BagFile(out / BAG) as bag:
         for _, received_ns, message in bag.messages(topics.FORCE.resolved(DEFAULT_NAMESPACE)):
@@ -297,6 +301,8 @@ def press_s(seconds: float, seed: int) -> tuple[float, float]:
         seconds: Length of the scenario [s].
         seed: Its seed.
     """
+    from mixtac_sim.world.profiles import make_profile
+
     profile = make_profile('demo', seed, seconds, sync=True)
     # After the first impulse: press, hold, release.
     _, press, _, release, *_ = profile.segments

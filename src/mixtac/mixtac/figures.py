@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Figures, tables and progress bars of commands."""
+"""Figures and tables of commands."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 FORCE = '#e07b00'  # colours, by what is drawn
 REFERENCE = '#1f4e8c'
 EVENTS = '#5a5a5a'
+TRUTH = '#1f1f1f'
+PAPER = '#8a8a8a'
 DPI = 110
 
 
@@ -51,8 +53,8 @@ def new_axes(
     return figure, flat
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure; the suffix of its path gives the format.
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Save a figure and return its path; its suffix gives the format.
 
     Raises:
         FileError: The file cannot be written, or its suffix is not that of a format.
@@ -64,3 +66,4 @@ def save_figure(figure: Figure, path: Path) -> None:
         raise FileError(
             f'cannot write {path}: {error}', remedy='name a .png or .pdf file'
         ) from error
+    return path

@@ -106,15 +106,15 @@ class Series:
             self._force_n[place] = self.latest_n, *topics.sideways_force(message)
         self.received = place + 1
 
-    def samples(self, first: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the samples from number `first` on, as views.
+    def samples(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the samples, as views.
 
         Returns:
             Arrival [ns, host clock] and stamp [ns] of each sample, shape (2, N), and its normal
             force and force along x and y [N], shape (N, 3).
         """
-        kept = slice(first, min(self.received, len(self._force_n)))
-        return self._times_ns[:, kept], self._force_n[kept]
+        kept = min(self.received, len(self._force_n))
+        return self._times_ns[:, :kept], self._force_n[:kept]
 
 
 class Monitor(ExitStack):

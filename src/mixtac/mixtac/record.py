@@ -61,13 +61,14 @@ class TopicMeter:
 
     def __init__(self, topic: Topic) -> None:
         self.topic = topic
-        self._sequence = SequenceCounter()
         self.restart()
 
     def restart(self) -> None:
         """Count from zero."""
         self.messages = self.size = self.missing = self.longest_gap_ns = 0
         self._first_ns = self._last_ns = 0
+        # Packets that got lost before the bag was open are not missing in it.
+        self._sequence = SequenceCounter()
 
     def add(self, received_ns: int, data: bytes) -> bool:
         """Count a serialised message, arrived at a host time [ns]; return whether it is whole."""
@@ -136,10 +137,7 @@ class Listener(CommandNode):
         namespace = self.get_namespace()
         own = {each.resolved(namespace) for each in topics.TOPICS if each.name != REFERENCE}
         if reference.resolved(namespace) in own:
-            raise RecordingError(
-                f'{reference_topic} is a topic of the sensor, not of its reference',
-                remedy='name the topic of the reference force sensor',
-            )
+            raise RecordingError(f'{reference_topic} is of the sensor: name that of the reference')
         for each in topics.TOPICS:
             topic = reference if each.name == REFERENCE else each
             topic = replace(topic, depth=1 if topic.latched else max(DEPTH, topic.depth))

@@ -28,7 +28,6 @@ from mixtac.options import Namespace, OptionalPath, ParamsFile, Preset, RunTime
 from mixtac_core.node.graph import NodeSpec, is_virtual, node, sensor_graph, slip_control
 from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE
-from mixtac_core.recordings.camera_stream import open_recording
 
 if TYPE_CHECKING:
     from mixtac.monitor_node import Monitor
@@ -113,7 +112,6 @@ def up(
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
     if context.invoked_subcommand is not None:
         return
-    estimator = check_choice(device, model, params_file)
     if importlib.util.find_spec('rclpy') is None:
         if record or view or params_file:
             raise typer.BadParameter('--record, --view and --params-file need ROS 2: `make setup`')
@@ -123,9 +121,11 @@ def up(
     from mixtac.monitor_node import Monitor
 
     play = play and is_virtual(device)
-    nodes = sensor_graph(
-        device, estimator=estimator, virtual_sensor={'loop': True} if play else None, view=view
+    estimator, virtual_sensor = (
+        ({'model': model} if model else {}),
+        ({'loop': True} if play else {}),
     )
+    nodes = sensor_graph(device, estimator=estimator, virtual_sensor=virtual_sensor, view=view)
     with ProcessGroup() as processes:
         if record is not None:
             processes.start('record', record_command(record, namespace))
@@ -154,29 +154,6 @@ def up(
                 show(console, time_left(seconds), values)
                 return
         run_until(processes, seconds)
-
-
-def check_choice(device: str, model: str, params_file: Path | None) -> dict[str, object] | None:
-    """Reject invalid options before anything starts; return the parameters of the estimator.
-
-    Args:
-        device: Value of `--device`.
-        model: Value of `--model`.
-        params_file: Parameter file; it may choose topics of a recording.
-
-    Raises:
-        MixtacError: Unknown device, no such recording, or no such model.
-    """
-    from mixtac_driver.supervisor import SourceKind, source_kind  # numba: slow to import
-    from mixtac_fger.weights import find_model, read_model
-
-    if source_kind(device) is SourceKind.RECORDED and params_file is None:
-        open_recording(Path(device)).close()
-    if not model:
-        return None
-    path = find_model(model).resolve()
-    read_model(path)
-    return {'model': str(path)}
 
 
 def show_without_ros(source: str, model: str, seconds: float) -> list[tuple[float, float]]:

@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac calibrate`: from a bag of frames to a camera_info file, and what it prints."""
+"""`mixtac calibrate`: from frames of a bag, or over DDS, to a camera_info file."""
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,45 +15,40 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 sys.path.insert(0, str(Path(__file__).parents[2] / 'mixtac_driver/test'))
 
-from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses
+from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
 
-from mixtac.calibrate import bag_images, calibrate
-from mixtac_core.recordings.bag import typestore
-from mixtac_core.recordings.bag_writer import BagWriter
-from mixtac_core.recordings.recording import RecordingError
-from mixtac_driver.calibration import RefusedError
-from mixtac_driver.camera_info import CalibrationError, read_camera_info
+from mixtac.calibrate import bag_images, calibrate, labelled  # noqa: E402
+from mixtac_core.node.base_node import QOS_SENSOR  # noqa: E402
+from mixtac_core.node.images import fill  # noqa: E402
+from mixtac_core.node.topics import IMAGE_RAW  # noqa: E402
+from mixtac_core.recordings.bag import blank_message, typestore  # noqa: E402
+from mixtac_core.recordings.bag_writer import BagWriter  # noqa: E402
+from mixtac_core.recordings.messages import set_header  # noqa: E402
+from mixtac_core.recordings.recording import RecordingError  # noqa: E402
+from mixtac_driver.calibration import RefusedError  # noqa: E402
+from mixtac_driver.camera_info import CalibrationError, read_camera_info  # noqa: E402
 
 TOPIC = '/mixtac/image_raw'
 PERIOD_NS = 200_000_000
 
 
-def image_message(types, image, stamp_ns, encoding='mono16'):
-    header = types['std_msgs/msg/Header'](
-        stamp=types['builtin_interfaces/msg/Time'](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9),
-        frame_id='camera',
-    )
-    return types['sensor_msgs/msg/Image'](
-        header=header,
-        height=image.shape[0],
-        width=image.shape[1],
-        encoding=encoding,
-        is_bigendian=False,
-        step=image.strides[0],
-        data=np.frombuffer(image.tobytes(), np.uint8),
-    )
+def image_message(image, stamp_ns=0):
+    message = blank_message(IMAGE_RAW.type_name)
+    set_header(message, stamp_ns, 'camera')
+    fill(message, image, 'mono16')
+    return message
 
 
 def write_bag(path, images, topic=TOPIC, period_ns=PERIOD_NS):
-    store = typestore()
     writer = BagWriter(path)
-    connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', latched=False)
+    connection = writer.add_topic(topic, IMAGE_RAW.type_name, latched=False)
     for index, image in enumerate(images):
         stamp = 10**9 + index * period_ns
-        message = image_message(store.types, image, stamp)
-        data = store.serialize_cdr(message, 'sensor_msgs/msg/Image')
+        data = typestore().serialize_cdr(image_message(image, stamp), IMAGE_RAW.type_name)
         writer.write(connection, stamp, bytes(data))
     writer.close()
     return path
@@ -136,3 +133,57 @@ def test_a_recording_is_thinned_out(tmp_path, frames):
     bag = write_bag(tmp_path / 'fast', frames[:8], period_ns=PERIOD_NS // 4)
     labels = [label for label, _ in bag_images(bag, TOPIC)]
     assert labels == ['1.000', '1.200']
+
+
+class Camera:
+    """Publishes frames again and again, as a driver would."""
+
+    def __init__(self, frames) -> None:
+        self._messages = [Image() for _ in frames]
+        for message, image in zip(self._messages, frames, strict=True):
+            fill(message, image, 'mono16')
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+
+    def __enter__(self) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node('camera', context=self._context)
+        self._publisher = self._node.create_publisher(Image, TOPIC, QOS_SENSOR)
+        self._thread.start()
+
+    def __exit__(self, *_) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _work(self) -> None:
+        for message in itertools.cycle(self._messages):
+            if self._stopping.wait(0.05):
+                return
+            self._publisher.publish(message)
+
+
+@pytest.mark.dds
+@pytest.mark.usefixtures('ros_domain')
+def test_live_images_are_collected_until_there_are_enough(tmp_path, frames, monkeypatch, capfd):
+    monkeypatch.setattr('mixtac_driver.calibration.WANTED_VIEWS', 10)
+    with Camera(frames):
+        calibrate(out=tmp_path / 'camera.yaml')
+    saved = read_camera_info(tmp_path / 'camera.yaml')
+    assert saved.camera_matrix[0, 0] == pytest.approx(155.0, rel=0.01)
+    # One line for each view.
+    assert capfd.readouterr().out.count('coverage') >= 10
+
+
+def test_ctrl_c_ends_collecting_and_calibrates(tmp_path, frames, monkeypatch):
+    def interrupted(_topic, _device):
+        for image in frames:
+            yield labelled(image_message(image))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('mixtac.calibrate.live_images', interrupted)
+    monkeypatch.setattr('mixtac_driver.calibration.WANTED_VIEWS', 1000)
+    calibrate(out=tmp_path / 'camera.yaml')
+    assert (tmp_path / 'camera.yaml').exists()

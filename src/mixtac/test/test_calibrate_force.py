@@ -82,11 +82,8 @@ def pulled(tmp_path, monkeypatch):
     levels += [(0.1, 0.002, 0.019), press, free]
     forces = GRAVITY * held(*levels) / [1.25, 2.0, 2.0]
     forces += np.random.default_rng(1).normal(0.0, 0.003, forces.shape)
-    monkeypatch.setattr(
-        known_loads,
-        'estimated',
-        lambda *_: (2000 * np.arange(len(forces), dtype=np.int64), forces),
-    )
+    estimates = 2000 * np.arange(len(forces), dtype=np.int64), forces
+    monkeypatch.setattr(known_loads, 'estimated', lambda *_: estimates)
     monkeypatch.setattr(camera_stream, 'open_recording', lambda _: io.BytesIO())
     path = tmp_path / 'recording.aedat4'
     path.touch()
@@ -117,9 +114,8 @@ def test_sideways_loads_give_the_gain_of_the_sideways_force(pulled, tmp_path):
 )
 def test_pulls_that_are_not_in_the_recording_are_refused(pulled, tmp_path, text, error):
     out = tmp_path / 'm.safetensors'
-    result = calibrate(
-        *('--bag', pulled, '--loads', '50,100', '--out', out, '--sideways-loads', text)
-    )
+    words = ('--bag', pulled, '--loads', '50,100', '--out', out)
+    result = calibrate(*words, '--sideways-loads', text)
     assert isinstance(result.exception, ForceCalibrationError)
     assert result.exception.reason == error
     assert not out.exists()
@@ -135,10 +131,8 @@ def calibrate(*words):
 def done(bag, tmp_path_factory):
     """Calibrate by the recording; return the folder of the results."""
     folder = tmp_path_factory.mktemp('calibrated')
-    result = calibrate(
-        *('--bag', bag, '--loads', '20,50,100', '--gel', 'soft', '--out', folder / 'm.safetensors'),
-        *('--json', folder / 'f.json'),
-    )
+    words = ('--bag', bag, '--out', folder / 'm.safetensors', '--json', folder / 'f.json')
+    result = calibrate(*words, '--loads', '20,50,100', '--gel', 'soft')
     assert result.exit_code == 0, result.output
     return folder
 
@@ -151,6 +145,13 @@ def test_a_recording_gives_gain_and_weight_file(done):
     assert [each['load_g'] for each in found['loads']] == GRAMS
     assert found['known_by'] == 'weights'
     assert (done / 'm.md').is_file()
+    model, shipped = (
+        read_model(find_model(n)) for n in (str(done / 'm.safetensors'), 'fger_small')
+    )
+    entry = model.card.training['calibrated']
+    assert model.card.training[SERIAL_KEY] == entry['serial'] == serial_number(DEVICE)
+    assert (entry['gel'], entry['from']) == ('soft', 'fger_small.safetensors')
+    assert head(model) == pytest.approx(entry['gain'] * head(shipped), rel=1e-4)
 
 
 def test_the_example_calibrates_by_the_same_weights(bag, tmp_path, run_example):
@@ -158,25 +159,11 @@ def test_the_example_calibrates_by_the_same_weights(bag, tmp_path, run_example):
     assert read_model(tmp_path / 'my_sensor.safetensors').card.training[SERIAL_KEY]
 
 
-def test_the_weight_file_says_how_it_was_calibrated(done):
-    shipped, model = (
-        read_model(find_model(n)) for n in ('fger_small', str(done / 'm.safetensors'))
-    )
-    entry = model.card.training['calibrated']
-    assert model.card.training[SERIAL_KEY] == entry['serial'] == serial_number(DEVICE)
-    assert entry['gel'] == 'soft'
-    assert entry['from'] == 'fger_small.safetensors'
-    head = shipped.tensors['frame.head.weight']
-    assert model.tensors['frame.head.weight'] == pytest.approx(entry['gain'] * head, rel=1e-4)
-
-
 def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
     words = ('--bag', bag, '--loads', '20,50,100', '--model', done / 'm.safetensors')
     result = calibrate(*words, '--out', tmp_path / 'again.safetensors')
     assert result.exit_code == 0, result.output
-    once, twice = (
-        read_model(folder) for folder in (done / 'm.safetensors', tmp_path / 'again.safetensors')
-    )
+    once, twice = map(read_model, (done / 'm.safetensors', tmp_path / 'again.safetensors'))
     assert twice.tensors['deviation'][1] == once.tensors['deviation'][1]
 
 
@@ -194,9 +181,7 @@ def test_a_reference_sensor_in_the_recording_is_used(done, bag, tmp_path):
     words = ('--bag', bag, '--out', tmp_path / 'm.safetensors', '--json', tmp_path / 'f.json')
     result = calibrate(*words)
     assert result.exit_code == 0, result.output
-    found, by_weights = (
-        json.loads(path.read_text()) for path in (tmp_path / 'f.json', done / 'f.json')
-    )
+    found, by_weights = (json.loads((each / 'f.json').read_text()) for each in (tmp_path, done))
     assert found['known_by'] == 'reference'
     assert found['gain'] == pytest.approx(by_weights['gain'], rel=0.08)
 
@@ -223,21 +208,22 @@ def test_what_cannot_be_written_or_checked_is_refused_first(bag, tmp_path):
         assert isinstance(calibrate(*words).exception, ModelError)
 
 
-def test_too_few_loads_are_refused_before_anything_starts(tmp_path):
-    for loads in ('100', '100,105'):
-        result = calibrate('--loads', loads, '--out', tmp_path / 'm.safetensors')
-        assert isinstance(result.exception, ForceCalibrationError)
-        assert result.exception.reason == 'few'
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        *((each, 'loads') for each in ('fifty', '50,,100', '-5', 'inf', 'nan')),
+        *(('100', 'few'), ('100,105', 'few')),
+    ],
+)
+def test_impossible_loads_are_refused_before_anything_starts(tmp_path, text, reason):
+    result = calibrate('--loads', text, '--out', tmp_path / 'm.safetensors')
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == reason
 
 
 def test_loads_are_grams():
-    assert [load.grams for load in parse_loads('20, 50,100.5', 1.0)] == pytest.approx(
-        [20.0, 50.0, 100.5]
-    )
-    for text in ('', 'fifty', '50,,100', '-5', 'inf', 'nan'):
-        with pytest.raises(ForceCalibrationError) as caught:
-            parse_loads(text, 1.0)
-        assert caught.value.reason == 'loads'
+    found = parse_loads('20, 50,100.5', 1.0)
+    assert [load.grams for load in found] == pytest.approx([20.0, 50.0, 100.5])
 
 
 @pytest.mark.dds

@@ -1,20 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The demo as a user runs it: processes, middleware, summary, figure and bag."""
+"""The demo as a user runs it, and what it computes from the streams of its bag."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from rosbags.highlevel import AnyReader
 
+from mixtac.demo import compare
 from mixtac_core.node.topics import EVENTS, FORCE, IMAGE_RAW, TOPICS
 from mixtac_core.recordings.bag import typestore
 
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
 SECONDS = 12.0
 
-pytestmark = [pytest.mark.dds, pytest.mark.timeout(1000)]
+pytestmark = pytest.mark.timeout(1000)
 
 
 @pytest.fixture(scope='module')
@@ -40,6 +43,7 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.dds
 def test_the_summary_has_its_figures_and_a_picture(run: Path):
     report = json.loads((run / 'demo.json').read_text())
     assert {'force_hz', 'lost'} <= set(report)
@@ -52,6 +56,7 @@ def test_the_summary_has_its_figures_and_a_picture(run: Path):
     assert (run / 'demo.png').read_bytes().startswith(b'\x89PNG')
 
 
+@pytest.mark.dds
 def test_the_bag_opens_in_another_reader(run: Path):
     with AnyReader([run / 'bag'], default_typestore=typestore()) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
@@ -60,3 +65,21 @@ def test_the_bag_opens_in_another_reader(run: Path):
     assert counts[FORCE.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[EVENTS.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[IMAGE_RAW.resolved('mixtac')] > 20 * (SECONDS - 2)
+
+
+def test_the_press_calibrates_and_the_drift_of_the_reference_is_removed():
+    """A gain, and a zero that drifts along a line, do not appear in the error."""
+    t_ms, force_ms = np.arange(10_000), np.arange(2, 10_001, 2)
+
+    def load(at_ms):
+        return 0.8 * ((at_ms > 3000) & (at_ms < 5000)) + 0.5 * ((at_ms > 6000) & (at_ms < 7000))
+
+    recording = SimpleNamespace(force_t_s=1e-3 * t_ms, force=load(t_ms) + 0.02 + 1e-5 * t_ms)
+    taps = [SimpleNamespace(camera_us=us) for us in (1_000_000, 9_000_000)]
+    fit = SimpleNamespace(
+        anchors=taps,
+        to_camera=lambda s: np.rint(1e6 * s).astype(np.int64),
+    )
+    figures = compare(recording, 1000 * force_ms, load(force_ms) / 1.25, fit, (1.5, 4.5)).figures
+    assert figures['gain'] == pytest.approx(1.25, rel=1e-3)
+    assert figures['mae_n'] < 1e-3 < figures['mae_uncalibrated_n']

@@ -22,6 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from mixtac.main import main
 from mixtac.record import Listener, TopicMeter, verdict
+from mixtac_core.events.packets import EncodedPacket, PacketWriter
 from mixtac_core.node.base_node import qos
 from mixtac_core.node.topics import EVENTS, IMAGE_RAW
 from mixtac_core.recordings.bag import BagFile
@@ -29,34 +30,34 @@ from mixtac_core.recordings.bag import BagFile
 if TYPE_CHECKING:
     from pathlib import Path
 
-PACKETS = 500
+ENOUGH = 3_000_000
+"""Size of a bag with some hundred packets [bytes]; a busy machine starts to record late."""
 
 
 def payload(index: int) -> bytes:
-    return np.random.default_rng(index).bytes(2 * (index % 40))
+    return np.random.default_rng(index).bytes(500 * (index % 40))
 
 
 def publish_all(graph, bag: Path) -> None:
-    """Publish packets until they are recorded, some more, and the state of a simulated driver."""
+    """Publish packets, and the state of a simulated driver, until enough is recorded."""
     from event_camera_msgs.msg import EventPacket
 
     publisher = graph.node.create_publisher(EventPacket, '/here/events', qos(EVENTS))
     state = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-    graph.spin_until(state.get_subscription_count)
-    index, last = 0, None
-    while index != last:
+    simulated = [KeyValue(key='simulated', value='True')]
+    states = [
+        DiagnosticStatus(name=name, hardware_id=serial, values=simulated)
+        for serial, name in (('0042', 'here/driver'), ('0043', 'other/here/driver'))
+    ]
+    index, file = 0, bag / f'{bag.name}.mcap'
+    while not file.exists() or file.stat().st_size < ENOUGH:
         message = EventPacket(height=260, width=346, seq=index, encoding='libcaer_cmp')
         message.events.frombytes(payload(index))
         publisher.publish(message)
+        if index % 50 == 0:
+            state.publish(DiagnosticArray(status=states))
         index += 1
-        if last is None and bag.exists():
-            last = index + PACKETS
         time.sleep(0.001)
-    simulated = [KeyValue(key='simulated', value='True')]
-    for serial, name in (('0042', 'here/driver'), ('0043', 'other/here/driver')):
-        status = DiagnosticStatus(name=name, hardware_id=serial, values=simulated)
-        state.publish(DiagnosticArray(status=[status]))
-    time.sleep(1.0)
 
 
 @pytest.mark.dds
@@ -70,7 +71,7 @@ def test_rosbags_alone_reads_every_packet_and_its_bytes_are_those_sent(
         try:
             publish_all(node_under_test, bag)
             process.send_signal(signal.SIGINT)
-            output, _ = process.communicate(timeout=60.0)
+            output, _ = process.communicate()
         finally:
             process.kill()
     assert process.returncode == 0, output
@@ -83,11 +84,10 @@ def test_rosbags_alone_reads_every_packet_and_its_bytes_are_those_sent(
             assert message.events.tobytes() == payload(message.seq)
     assert numbers == sorted(set(numbers))
     # On a loaded machine some get lost on the way, which the command has to know.
-    assert len(numbers) > PACKETS // 2
     missing = numbers[-1] - numbers[0] + 1 - len(numbers)
     (described,) = yaml.safe_load((tmp_path / 'dataset.yaml').read_text())['trials']
     assert described['topics']['events']['missing'] == missing
-    assert described['topics']['events']['messages'] == len(numbers)
+    assert described['topics']['events']['messages'] == len(numbers) > 0
     assert described['not_written'] == 0
     assert (described['serial'], described['simulated']) == ('0042', True)
 
@@ -115,20 +115,29 @@ def test_an_error_leaves_a_bag_that_is_whole(tmp_path):
         assert found.damage == ''
 
 
+def packet(number: int) -> bytes:
+    """Return a serialised event packet."""
+    encoded = EncodedPacket(7, np.zeros(4, np.uint8))
+    return PacketWriter('camera', (346, 260)).write(encoded, number, 10**9)
+
+
 def stamped(stamp_ns: int) -> bytes:
     return b'\0\1\0\0' + struct.pack('<iI', *divmod(stamp_ns, 10**9)) + bytes(8)
 
 
-def test_packets_missing_by_number_are_counted_and_reported(packet):
+def test_packets_missing_by_number_are_counted_and_reported():
     meter = TopicMeter(EVENTS)
     for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
-        meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+        meter.add(10**9 + received, packet(seq))
     assert (meter.messages, meter.missing) == (6, 2)
     nothing = {'seconds': 1.0, 'not_written': 0, 'stopped': '', 'topics': {}}
     assert 'no losses' in verdict(nothing)
     said = verdict(nothing | {'not_written': 7, 'topics': {'events': meter.figures()}})
     assert '2 of events' in said
     assert '7 ' in said
+    meter.restart()
+    meter.add(10**9, packet(700))
+    assert (meter.messages, meter.missing) == (1, 0)
 
 
 def test_topics_without_numbers_show_rate_and_longest_gap_since_the_restart():
@@ -143,8 +152,8 @@ def test_topics_without_numbers_show_rate_and_longest_gap_since_the_restart():
 
 
 @pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(8), b'\0\1\0\0' + b'\xff' * 30])
-def test_damaged_packets_are_lost(packet, data):
+def test_damaged_packets_are_lost(data):
     meter = TopicMeter(EVENTS)
     assert not meter.add(10**9, data)
-    assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert meter.add(10**9, packet(7))
     assert (meter.messages, meter.missing) == (1, 1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac simulate`: its bags."""
+"""`mixtac simulate`: its bags, which have the defaults of the driver."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ import typer
 from typer.testing import CliRunner
 
 from mixtac.simulate import simulate
+from mixtac_core.events.windows import PACKET_BYTES, PACKET_PERIOD_US
+from mixtac_core.node.topics import CAMERA_FRAME, IMU_FRAME
 from mixtac_core.recordings.dataset import DatasetDescription
+from mixtac_driver.parameters import DriverParameters
 from mixtac_sim import SimulationError
+from mixtac_sim.usb.words import ImuSettings
 
 app = typer.Typer()
 app.command()(simulate)
@@ -25,11 +29,8 @@ def test_bags_are_written_and_counted(tmp_path):
     words = ('--profile', 'idle', '--trials', 2, '--seconds', 3, '--preset', 'easy', '--out', out)
     result = run(*words, '--jobs', 1, '--compress')
     assert result.exit_code == 0, result.output
-    said = ' '.join(result.output.split())
-    assert '2 bags written' in said
-    assert '1 train, 1 test' in said
-    again = run(*words, '--jobs', 1)
-    assert '0 bags written' in again.output
+    assert '2 bags written' in ' '.join(result.output.split())
+    assert '0 bags written' in run(*words, '--jobs', 1).output
     description = DatasetDescription.read(out)
     assert (description.name, description.preset, description.complete) == ('idle', 'easy', True)
 
@@ -53,3 +54,17 @@ def test_wrong_usage_is_refused(words):
 def test_what_does_not_exist_is_an_expected_failure(option, tmp_path):
     result = run(option, 'dance', '--out', tmp_path / 'y', '--seconds', 3)
     assert isinstance(result.exception, SimulationError)
+
+
+def test_simulated_bags_use_the_defaults_of_the_driver():
+    p = DriverParameters()
+    assert round(1e6 * p.event_message_time_threshold) == PACKET_PERIOD_US
+    assert p.event_message_size_threshold == PACKET_BYTES
+    assert (p.camera_frame_id, p.imu_frame_id) == (CAMERA_FRAME, IMU_FRAME)
+    assert ImuSettings() == ImuSettings(
+        accel=p.imu_acc_enabled,
+        gyro=p.imu_gyro_enabled,
+        temperature=p.imu_temp_enabled,
+        accel_scale=p.imu_acc_scale,
+        gyro_scale=p.imu_gyro_scale,
+    )

@@ -43,7 +43,6 @@ from mixtac_core.events.codec import encode
 from mixtac_core.node.base_node import QOS_FORCE, QOS_SENSOR, qos
 from mixtac_core.node.graph import node
 from mixtac_core.node.images import fill
-from mixtac_core.node.process import GraphError
 from mixtac_core.node.topics import EVENTS
 
 NAME = 'mixtac/view'
@@ -53,13 +52,8 @@ needs_rerun = pytest.mark.skipif(
 
 
 def events(*found: tuple[int, int, bool]) -> Events:
-    x, y, polarity = zip(*found, strict=True)
-    return Events(
-        np.arange(len(x), dtype=np.int64),
-        np.array(x, np.uint16),
-        np.array(y, np.uint16),
-        np.array(polarity, np.bool_),
-    )
+    columns, kinds = zip(*found, strict=True), (np.uint16, np.uint16, np.bool_)
+    return Events(np.arange(len(found), dtype=np.int64), *map(np.array, columns, kinds))
 
 
 def test_polarities_have_their_levels_and_cancel():
@@ -132,26 +126,8 @@ def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner(tmp_pat
     assert not child.is_running()
 
 
-@pytest.mark.live
-@needs_rerun
-def test_a_server_that_ended_is_reported():
-    before = set(psutil.Process().children())
-    with closing(ViewerServer(0, 0, 50)) as server:
-        (child,) = set(psutil.Process().children()) - before
-        child.kill()
-        child.wait()
-        with pytest.raises(GraphError):
-            server.processes.check()
-
-
 def packet(sequence: int) -> EventPacket:
-    one = Events(
-        np.array([sequence * 1000], np.int64),
-        np.array([sequence % 346], np.uint16),
-        np.array([7], np.uint16),
-        np.array([True]),
-    )
-    encoded = encode(one, complete_until=sequence * 1000)
+    encoded = encode(events((sequence % 346, 7, True)), complete_until=sequence * 1000)
     message = EventPacket(width=346, height=260, seq=sequence, encoding=encoded.encoding)
     message.time_base = encoded.time_base
     message.events.frombytes(encoded.payload)

@@ -5,27 +5,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from mixtac.options import JsonFile, Preset, ReferenceTopic
 from mixtac_core.node.files import writable, write_json
 from mixtac_core.node.topics import REFERENCE
-from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
 from mixtac_learning.train.config import read_run_config, with_overrides
-from mixtac_sim.world.plans import TRAINING_PRESET
+from mixtac_sim.world.plans import TRAINING_PRESET, unseen_devices
 
 ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
-Preset = Annotated[
-    str, typer.Option('--preset', help='Difficulty of sensors: easy, paper_like, hard or varied.')
-]
-ReferenceTopic = Annotated[
-    str, typer.Option('--reference-topic', help='Topic of the reference force in the bags.')
-]
-JsonFile = Annotated[
-    Path | None,
-    typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
-]
 
 
 def train(
@@ -99,20 +90,24 @@ def evaluate(
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
     from mixtac_learning.judge import report
+    from mixtac_learning.judge.estimators import trial_estimator
 
     path = find_model(model)
+    content: dict[str, Any] = {'model': str(path)}
+    trained = read_model(path)
     if bags:
-        estimates, content = report.judge_bags(path, bags, reference)
+        estimates, found = report.judge_bags(trained, bags, reference)
     else:
-        estimates, content = report.judge_unseen(path, gels, seconds, seed, preset)
-    content['model'] = str(path)
+        estimator, devices = trial_estimator(trained), unseen_devices(gels, seed)
+        estimates, found = report.judge_devices(estimator, devices, seconds, seed, preset)
+        content['simulated'] = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
     title = f'{path.name} on {len(estimates)} {"bags" if bags else "simulated trials"}'
-    report.show_figures(title, *content['metrics'].values())
-    report.show_skipped(content['skipped'])
+    report.show_figures(title, *found['metrics'].values())
+    report.show_skipped(found['skipped'])
     if figures is not None:
         report.draw_trials(figures, title, estimates)
         print(f'drawn: {figures}')
     if series is not None:
         report.write_series(series, estimates)
         print(f'written: {series}')
-    write_json(json, content)
+    write_json(json, found | content)

@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, Nodetype
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition
 from rosbags.interfaces import MessageDefinitionFormat as Format
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
@@ -61,28 +61,20 @@ def typestore() -> Typestore:
     return store
 
 
+ZEROS = 4096
+"""More than the fields of any message take without the content of sequences [bytes]."""
+
+
 def blank_message(type_name: str) -> Any:  # noqa: ANN401
     """Return a message of rosbags with all fields zero or empty, as rclpy's constructors do.
 
     Args:
         type_name: For example `sensor_msgs/msg/Imu`.
     """
-    _, fields = typestore().fielddefs[type_name]
-    blank = {name: _blank_value(*description) for name, description in fields}
-    return typestore().types[type_name](**blank)
-
-
-def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
-    if node == Nodetype.NAME:
-        return blank_message(content)
-    if node == Nodetype.BASE:
-        kind = content[0]
-        return {'string': '', 'bool': False}.get(kind, 0.0 if kind.startswith('float') else 0)
-    (element, inner), count = content
-    if element == Nodetype.NAME or inner[0] == 'string':
-        return [_blank_value(element, inner) for _ in range(count)]
-    kind = {'octet': 'uint8', 'byte': 'uint8', 'char': 'uint8'}.get(inner[0], inner[0])
-    return np.zeros(count, kind)
+    types, definition = typestore(), typestore().get_msgdef(type_name)
+    # Read from zeros, in the format of ROS 1, whose texts may be empty.
+    message, _ = definition.deserialize_ros1(memoryview(bytearray(ZEROS)), 0, definition.cls, types)
+    return message
 
 
 class BagFile(contextlib.AbstractContextManager['BagFile']):

@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TypeAlias
 
 import numpy as np
@@ -61,27 +62,8 @@ _SIZES = struct.Struct('<3I')
 _EVENT = np.dtype([('x', '<u2'), ('y', '<u2'), ('s', '<u4'), ('ns', '<u4'), ('polarity', 'u1')])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EventArray:
-    """One message.
-
-    Attributes:
-        seq: Number of the message.
-        stamp_us: Its stamp [us].
-        width: Columns of the sensor.
-        height: Rows of the sensor.
-        events: Events inside the sensor, sorted by time [us].
-    """
-
-    seq: int
-    stamp_us: int
-    width: int
-    height: int
-    events: Events
-
-
-def read_event_array(data: bytes, counters: ReadCounters) -> EventArray:
-    """Return the content of a serialised message.
+def read_event_array(data: bytes, counters: ReadCounters) -> Message:
+    """Return a serialised message; `events` are `Events` in the sensor, sorted by time [us].
 
     Args:
         data: The message, as ROS 1 serialises it.
@@ -102,10 +84,10 @@ def read_event_array(data: bytes, counters: ReadCounters) -> EventArray:
     order = np.argsort(t, kind='stable')
     rows = inside[order]
     events = Events(t[order], rows['x'].copy(), rows['y'].copy(), rows['polarity'] != 0)
-    stamp_us = seconds * 1_000_000 + nanoseconds // 1000
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds))
     counters.events_outside += count - len(inside)
     counters.events_unsorted += int(np.count_nonzero(np.diff(t) < 0))
-    return EventArray(seq, stamp_us, width, height, events)
+    return SimpleNamespace(header=header, seq=seq, width=width, height=height, events=events)
 
 
 class BagRecording:
@@ -164,10 +146,10 @@ class BagRecording:
         held: Piece | None = None
         for topic, message in self._messages(*named, self._temperatures):
             if topic == self._temperatures:
-                self._celsius = {stamp_to_us(message.header.stamp): float(message.temperature)}
+                self._celsius = {_stamp_us(message): float(message.temperature)}
                 continue
             if topic == self._exposures:
-                if held and stamp_to_us(message.header.stamp) - self._offset_us == held.start_us:
+                if held and _stamp_us(message) - self._offset_us == held.start_us:
                     frame = convert.exposed_frame(held.frames[0], message, self._offset_us)
                     yield replace(held, frames=(frame,))
                     held = None
@@ -186,7 +168,7 @@ class BagRecording:
         raw = {topic for topic in wanted if topic and self._bag.types[topic] in EVENT_ARRAYS}
         for topic, _, message in self._bag.messages(*filter(None, wanted), raw=raw):
             is_image = self._bag.types[topic] == topics.IMAGE_RAW.type_name
-            if is_image and not stamp_to_us(message.header.stamp):
+            if is_image and not _stamp_us(message):
                 self.counters.frames_without_time += 1
             else:
                 is_array = topic in raw
@@ -292,13 +274,13 @@ class BagRecording:
     def _converted(self, topic: str, message: Message) -> Piece:
         if topic == self._events:
             self.counters.packets_missing += self._sequence.update(message.seq)
-            if isinstance(message, EventArray):
-                t = message.events.t if len(message.events) else [message.stamp_us]
+            if isinstance(message.events, Events):
+                t = message.events.t if len(message.events) else [_stamp_us(message)]
                 return Piece(int(t[0]), int(t[-1]), advances=True, events=message.events)
             packet = self._decoder.decode(message)
             start_us, until_us = packet.start_us, packet.complete_until
             return Piece(start_us, until_us, advances=True, events=packet.events)
-        stamp_us = stamp_to_us(message.header.stamp)
+        stamp_us = _stamp_us(message)
         t_us, advances = stamp_us - self._offset_us, topic == self._leader
         if topic == self._imu:
             imu = convert.read_samples(message, t_us, self._celsius.get(stamp_us, math.nan))
@@ -314,8 +296,7 @@ Recording: TypeAlias = BagRecording | FileRecording
 
 
 def _stamp_us(message: Message) -> int:
-    is_array = isinstance(message, EventArray)
-    return message.stamp_us if is_array else stamp_to_us(message.header.stamp)
+    return stamp_to_us(message.header.stamp)
 
 
 def open_recording(

@@ -11,14 +11,9 @@ from typing import Any, Final
 
 import yaml
 
-from mixtac_core.events.errors import MixtacError
-from mixtac_core.node.files import locked, read_data, structure, write_text
+from mixtac_core.node.files import FileError, locked, read_data, structure, write_text
 
 SPLITS: Final = ('train', 'test')
-
-
-class DatasetError(MixtacError):
-    """A description of a data set that is missing, invalid or of something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +101,7 @@ class DatasetDescription:
             folder: Folder of the data set.
 
         Raises:
-            FileError: It is missing or damaged.
-            DatasetError: It is of another schema.
+            FileError: It is missing or damaged, or of another schema.
         """
         path = folder / FILE_NAME
         document = _read(path, SCHEMA)
@@ -125,13 +119,13 @@ def _read(path: Path, schema: str = '') -> dict[str, Any]:
     found = read_data(path)
     document = dict(found) if isinstance(found, dict) else {}
     if schema and document | _head(schema) != document:
-        raise DatasetError(
+        raise FileError(
             f'{path} is not of schema {schema}, version {SCHEMA_VERSION}',
             remedy='use another folder, or the release that wrote it',
         )
     trials = document.get('trials')
     if not isinstance(trials, list) or not all(isinstance(t, dict) and 'name' in t for t in trials):
-        raise DatasetError(f'{path} has no list of trials, each with its name', remedy='correct it')
+        raise FileError(f'{path} has no list of trials, each with its name', remedy='correct it')
     return document
 
 
@@ -145,8 +139,7 @@ def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split:
         split: `train`, `test`, or empty.
 
     Raises:
-        DatasetError: The existing file describes something else or is damaged.
-        FileError: The file cannot be written.
+        FileError: The existing file describes something else or is damaged, or cannot be written.
     """
     path = bag.absolute().parent / FILE_NAME
     # Another recording may end at the same moment, beside the same file or a link to it.
@@ -163,8 +156,7 @@ def read_recordings(path: Path) -> dict[str, Any]:
     """Return the content of a `dataset.yaml` of recordings; without trials if it is missing.
 
     Raises:
-        DatasetError: It describes something else.
-        FileError: It is damaged.
+        FileError: It describes something else, or is damaged.
     """
     if not path.exists():
         return {**_head(RECORDINGS_SCHEMA), 'trials': []}
@@ -188,8 +180,7 @@ def described_trial(bag: Path) -> dict[str, Any]:
     """Return what the `dataset.yaml` beside a bag says of it; empty without a file or an entry.
 
     Raises:
-        FileError: The file cannot be read.
-        DatasetError: It has no list of trials.
+        FileError: The file cannot be read, or has no list of trials.
     """
     path = bag.parent / FILE_NAME
     trials = _read(path)['trials'] if path.exists() else []

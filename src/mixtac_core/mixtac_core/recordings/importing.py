@@ -132,11 +132,8 @@ class StreamWriter:
             frame_id: Frame of the force.
             received_ns: Host time of its reception [ns since the Unix epoch].
         """
-        message = blank_message(topic.type_name)
-        messages.set_header(message, stamp_ns, frame_id)
-        force, torque = message.wrench.force, message.wrench.torque
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
-        self.put(topic, received_ns, message)
+        data = topics.WrenchWriter(frame_id).serialised(stamp_ns, values.tolist())
+        self.put(topic, received_ns, data)
 
 
 def import_recording(

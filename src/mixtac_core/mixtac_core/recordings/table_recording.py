@@ -171,10 +171,8 @@ def open_table_recording(
     if not tables:
         return None
     if selection != Selection() and not is_hdf5:
-        raise RecordingError(
-            f'{path} holds tables: there is nothing to choose',
-            remedy='leave out --events, --image and --imu',
-        )
+        remedy = 'leave out --events, --image and --imu'
+        raise RecordingError(f'{path} holds tables: there is nothing to choose', remedy=remedy)
     known, unit = options.size or stated_size(path), options.time_unit
     if known is None and 'frames' in tables:
         for rows in itertools.islice(_checked_rows(path, 'frames', tables['frames'], unit), 1):

@@ -23,25 +23,13 @@ EPOCH_US = 1_700_000_000_000_000
 
 
 def make(rows: list[tuple[int, int, int, bool]]) -> Events:
-    t, x, y, on = zip(*rows, strict=True) if rows else ((), (), (), ())
-    return Events(
-        np.array(t, np.int64),
-        np.array(x, np.uint16),
-        np.array(y, np.uint16),
-        np.array(on, np.bool_),
-    )
+    columns = zip(*rows, strict=True) if rows else ((), (), (), ())
+    kinds = (np.int64, np.uint16, np.uint16, np.bool_)
+    return Events(*map(np.array, columns, kinds))
 
 
 def rows_of(events: Events) -> list[tuple[int, int, int, bool]]:
-    return list(
-        zip(
-            events.t.tolist(),
-            events.x.tolist(),
-            events.y.tolist(),
-            events.polarity.tolist(),
-            strict=True,
-        )
-    )
+    return list(zip(*(column.tolist() for column in events.fields), strict=True))
 
 
 decode = functools.partial(codec.decode, width=346, height=260)

@@ -38,9 +38,7 @@ def message(payload, encoding='evt3', **fields):
 
 
 def rows(packet) -> list[tuple[int, int, int, bool]]:
-    events = packet.events
-    columns = (events.t, events.x, events.y, events.polarity)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+    return list(zip(*(column.tolist() for column in packet.events.fields), strict=True))
 
 
 def test_times_mean_nothing_before_their_upper_bits():

@@ -21,12 +21,8 @@ EPOCH_US = 1_700_000_000_000_000
 def at(times: list[int]) -> Events:
     n = len(times)
     x = np.arange(n) % 346
-    return Events(
-        np.array(times, np.int64),
-        x.astype(np.uint16),
-        np.zeros(n, np.uint16),
-        np.arange(n) % 3 == 0,
-    )
+    t, y = np.array(times, np.int64), np.zeros(n, np.uint16)
+    return Events(t, x.astype(np.uint16), y, np.arange(n) % 3 == 0)
 
 
 decode = functools.partial(codec.decode, width=346, height=260)
@@ -47,11 +43,7 @@ def batches(draw):
 
 
 @settings(max_examples=200)
-@given(
-    batches(),
-    st.sampled_from([100, 1000, 2500]),
-    st.sampled_from([8, 40, 300_000]),
-)
+@given(batches(), st.sampled_from([100, 1000, 2500]), st.sampled_from([8, 40, 300_000]))
 def test_packets_hold_every_event_once_and_say_how_far_they_reach(parts, period, size):
     packetizer = Packetizer(period, size)
     sent, complete = [], 0

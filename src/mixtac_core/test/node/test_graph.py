@@ -12,23 +12,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_core.node.graph import (
-    PATIENCE_S,
-    config_file,
-    node,
-    sensor_graph,
-    slip_control,
-)
+from mixtac_core.node.graph import PATIENCE_S, config_file, node, sensor_graph, slip_control
 from mixtac_core.node.process import GraphError
-
-
-def names(nodes) -> list[str]:
-    return [node.name for node in nodes]
-
-
-def overrides(nodes) -> dict[str, dict[str, object]]:
-    return {node.name: dict(node.overrides) for node in nodes}
-
 
 FROM_PIP = ('numba', 'numpy', 'scipy', 'cv2', 'rosbags', 'mcap', 'safetensors', 'usb')
 """Modules that pip installs, but YAML."""
@@ -49,49 +34,68 @@ for node in sensor_graph('virtual', align=True):
     subprocess.run([sys.executable, '-c', code], check=True, stdout=subprocess.DEVNULL)
 
 
-def test_a_camera_needs_driver_and_estimator():
-    nodes = sensor_graph('davis346')
-    assert names(nodes) == ['driver', 'fger']
-    assert all(node.required for node in nodes)
-    # Whether something touches a real sensor at the start is not known.
-    assert overrides(nodes)['fger'] == {'autostart': True}
+FREE = {'assume_free': True, 'autostart': True}
+PATIENT = {'stream_timeout': PATIENCE_S}
+FOLLOW = {'use_sim_time': True}
+LEFT = {'reference_topic': '/left/ft'}
 
 
-def test_the_virtual_sensor_comes_first_and_shares_its_socket():
-    nodes = sensor_graph('virtual:/a/b.sock', virtual_sensor={'device_seed': 5})
-    assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
-    assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
-    driver = {'device': 'virtual:/a/b.sock', 'stream_timeout': PATIENCE_S}
-    assert overrides(nodes)['driver'] == driver
-    assert overrides(nodes)['fger'] == {'assume_free': True, 'autostart': True}
-
-
-def test_additions_stand_between_sensor_and_driver():
-    nodes = sensor_graph('virtual', align=True, view=True, reference_topic='/left/ft')
-    assert names(nodes) == ['virtual_sensor', 'view', 'alignment', 'force_error', 'driver', 'fger']
-    reference = {'reference_topic': '/left/ft'}
-    assert overrides(nodes)['virtual_sensor'] == overrides(nodes)['alignment'] == reference
-    # It compares with the topic that the alignment publishes.
-    assert overrides(nodes)['force_error'] == {}
-
-
-def test_simulated_time_comes_from_the_driver_or_the_virtual_sensor():
-    found = overrides(sensor_graph('/some/bag', simulated_time=True))
-    assert found == {
-        'driver': {'device': '/some/bag', 'playback_clock': True},
-        'fger': {'assume_free': True, 'autostart': True, 'use_sim_time': True},
-    }
-    found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
-    assert found['virtual_sensor'] == {'publish_clock': True}
-    assert 'playback_clock' not in found['driver']
-    assert all(found[name]['use_sim_time'] for name in ('alignment', 'force_error', 'fger'))
-
-
-def test_without_a_driver_all_nodes_follow_the_clock_of_the_bag_player():
-    nodes = sensor_graph('none', align=True, simulated_time=True)
-    assert names(nodes) == ['alignment', 'force_error', 'fger']
-    assert all(node.overrides['use_sim_time'] for node in nodes)
-    assert 'assume_free' not in overrides(sensor_graph('none'))['fger']
+@pytest.mark.parametrize(
+    ('device', 'options', 'expected'),
+    [
+        # Whether something touches a real sensor at the start is not known.
+        ('davis346', {}, {'driver': {'device': 'davis346'}, 'fger': {'autostart': True}}),
+        (
+            'virtual:/a/b.sock',
+            {'virtual_sensor': {'device_seed': 5}},
+            {
+                'virtual_sensor': {'socket': '/a/b.sock', 'device_seed': 5},
+                'driver': {'device': 'virtual:/a/b.sock', **PATIENT},
+                'fger': FREE,
+            },
+        ),
+        # Errors are those against the topic that the alignment publishes.
+        (
+            'virtual',
+            {'align': True, 'view': True, **LEFT},
+            {
+                'virtual_sensor': LEFT,
+                'view': {},
+                'alignment': LEFT,
+                'force_error': {},
+                'driver': {'device': 'virtual', **PATIENT},
+                'fger': FREE,
+            },
+        ),
+        # Simulated time is that of the driver, of the virtual sensor, or of a bag player.
+        (
+            '/some/bag',
+            {'simulated_time': True},
+            {'driver': {'device': '/some/bag', 'playback_clock': True}, 'fger': FREE | FOLLOW},
+        ),
+        (
+            'virtual',
+            {'simulated_time': True},
+            {
+                'virtual_sensor': {'publish_clock': True},
+                'driver': {'device': 'virtual', **PATIENT},
+                'fger': FREE | FOLLOW,
+            },
+        ),
+        (
+            'none',
+            {'align': True, 'simulated_time': True},
+            {'alignment': FOLLOW, 'force_error': FOLLOW, 'fger': FREE | FOLLOW},
+        ),
+        ('none', {}, {'fger': {'autostart': True}}),
+    ],
+)
+def test_each_device_has_its_nodes_in_order_with_their_parameters(device, options, expected):
+    nodes = sensor_graph(device, **options)
+    found = {node.name: dict(node.overrides) for node in nodes}
+    assert list(found.items()) == list(expected.items())
+    required = {node.name for node in nodes if node.required}
+    assert required == expected.keys() & {'virtual_sensor', 'driver', 'fger'}
 
 
 def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_path):
@@ -114,10 +118,7 @@ def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_pa
 
 def test_every_node_is_installed_and_has_a_parameter_file():
     more = [slip_control({'arm': 'none'}), node('mixtac', 'view')]
-    for device, options in (
-        ('virtual', {'align': True}),
-        ('x', {'slip': {}}),
-    ):
+    for device, options in (('virtual', {'align': True}), ('x', {'slip': {}})):
         for each in [*sensor_graph(device, **options), *more]:
             assert each.command('mixtac')
             assert config_file(f'{each.name}.yaml').is_file()

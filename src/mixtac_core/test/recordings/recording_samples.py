@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.codec import encode
@@ -46,10 +45,8 @@ def plain_packet(events):
 class Bag:
     """Writes a bag; every message is received when its stamp says, or a little later."""
 
-    def __init__(self, path, plugin=StoragePlugin.MCAP, *, compressed=False):
+    def __init__(self, path, plugin=StoragePlugin.MCAP):
         self.writer = Writer(path, version=9, storage_plugin=plugin)
-        if compressed:
-            self.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
         self.writer.open()
         self.connections = {}
         self.sequence = 0

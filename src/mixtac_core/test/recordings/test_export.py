@@ -23,19 +23,10 @@ from mixtac_core.recordings.recording import RecordingError
 
 RNG = np.random.default_rng(5)
 EVENTS = some_events(count=3000, length_us=90_000)
+PIXELS = RNG.integers(0, 1024, (3, 260, 346)).astype(np.uint16)
 FRAMES = [
-    Frame(
-        image=RNG.integers(0, 1024, (260, 346)).astype(np.uint16),
-        x=0,
-        y=0,
-        frame_start_us=t,
-        exposure_start_us=t,
-        exposure_end_us=t + 7301,
-        frame_end_us=t + 7301,
-        exposure_cycles=7301,
-        global_shutter=True,
-    )
-    for t in (START_US + 1000, START_US + 26_000, START_US + 51_000)
+    Frame(image, 0, 0, t, t, t + 7301, t + 7301, 7301, True)
+    for image, t in zip(PIXELS, range(START_US + 1000, START_US + 52_000, 25_000), strict=True)
 ]
 SAMPLES = InertialSamples(
     START_US + 1000 * np.arange(40),

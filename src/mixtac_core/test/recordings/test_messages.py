@@ -15,17 +15,8 @@ from mixtac_core.recordings import messages
 from mixtac_core.recordings.bag import blank_message, typestore
 
 ORIGIN_US = 1_700_000_000_000_000
-FRAME = Frame(
-    image=np.random.default_rng(1).integers(0, 1024, (6, 8)).astype(np.uint16),
-    x=2,
-    y=3,
-    frame_start_us=1000,
-    exposure_start_us=1100,
-    exposure_end_us=5101,
-    frame_end_us=9000,
-    exposure_cycles=4001,
-    global_shutter=True,
-)
+PIXELS = np.random.default_rng(1).integers(0, 1024, (6, 8)).astype(np.uint16)
+FRAME = Frame(PIXELS, 2, 3, 1000, 1100, 5101, 9000, 4001, True)
 SAMPLES = InertialSamples(
     np.array([10, 20]),
     np.array([[1.0, 2.0, 3.0], [np.nan] * 3]),

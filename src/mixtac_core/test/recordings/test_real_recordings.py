@@ -17,7 +17,6 @@ import pytest
 from mixtac_core.recordings.camera_stream import open_recording
 from mixtac_core.recordings.export import export_recording
 from mixtac_core.recordings.importing import import_recording
-from mixtac_core.recordings.recording import RecordingError
 from mixtac_core.recordings.summary import summarise
 from mixtac_core.recordings.tables import TableOptions
 
@@ -66,12 +65,6 @@ def test_events_as_tools_of_others_write_them(tmp_path, name, unit):
     _, found = pieces(tmp_path / 'bag')
     for column, key in zip(truth, ('t', 'x', 'y', 'polarity'), strict=True):
         assert np.array_equal(np.concatenate([getattr(p.events, key) for p in found]), column)
-
-
-def test_other_polarities_are_refused_with_a_remedy(tmp_path):
-    with pytest.raises(RecordingError) as error:
-        import_recording(data('inputs/txyp_12.csv'), tmp_path / 'bag')
-    assert error.value.remedy
 
 
 def test_a_bag_with_an_empty_storage_identifier(tmp_path):

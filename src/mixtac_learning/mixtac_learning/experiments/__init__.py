@@ -15,7 +15,7 @@ EXPERIMENTS = {
     'impact': 'mixtac_learning.experiments.forces:impact',
     'slip': 'mixtac_learning.experiments.slip:slip',
     'model': 'mixtac_learning.experiments.model:model',
-    'comparison': 'mixtac_learning.experiments.model:comparison',
+    'comparison': 'mixtac_learning.experiments.forces:comparison',
     'models': 'mixtac_learning.experiments.models:models',
 }
 """Function of each command of `mixtac experiments`, in the order of the paper."""

@@ -31,10 +31,10 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from mixtac.options import JsonFile
 from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import read_data, structure, write_json, write_text
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
-from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments import EXPERIMENTS
 from mixtac_learning.train.config import DataConfig, RunConfig
 from mixtac_sim.world.plans import simulator_digest

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Size and speed of the networks (paper, section III-B), and the table of sensors (table III)."""
+"""Size and speed of the networks (paper, section III-B)."""
 
 from __future__ import annotations
 
@@ -25,13 +25,7 @@ from mixtac_learning.experiments.harness import (
     Value,
     experiment,
 )
-from mixtac_learning.experiments.models import (
-    describe,
-    pooled,
-    profile_estimates,
-    rate_hz,
-)
-from mixtac_learning.judge.estimators import TrialEstimate, windows_of
+from mixtac_learning.judge.estimators import windows_of
 from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, build, one_cycle, operations_per_cycle
@@ -169,48 +163,3 @@ def _timed(call: Callable[[], object], network: PaperNetwork) -> Value:
         durations_s = timeit.repeat(call, number=1, repeat=REPETITIONS)
     torch.set_num_threads(threads)
     return Value.of((1e3 * each for each in durations_s), 'repetitions')
-
-
-OTHERS = (
-    ('Insight', 'frames', 40.0, 0.03, 2.0),
-    ('ViTacTip', 'frames', 30.0, 0.04, 1.0),
-    ('E-BTS', 'events', 500.0, 0.49, 8.0),
-    ('GelEvent', 'events', 180.0, 0.80, 16.0),
-)
-"""Sensor, input, rate [Hz], error [N], range [N], as the paper cites them."""
-MIXTAC = (500.0, 0.04, 1.0)
-"""Rate [Hz], error [N] and range [N] of the paper's sensor."""
-TABLE_PLACE = 'section V-B, table III'
-
-
-@experiment
-def comparison(context: Context) -> Outcome:
-    """Rate, error and range beside other sensors.
-
-    The paper cites published values; sensors, forces and tests differ.
-
-    Here our row is of a simulated sensor. The synchronising taps, up to 2 N, are part of our trials
-    and count for the largest force.
-    """
-    found = profile_estimates(context, 'dynamic')
-    rows = []
-    for model in (OURS, 'fger'):
-        values = _figures(found[model])
-        for (title, value, unit), paper in zip(values, MIXTAC, strict=True):
-            name = f'Mixtac, frames and events, {NETWORKS[model].label}: {title}'
-            rows.append(Row(name, value, paper, TABLE_PLACE, unit, 'dynamic trials'))
-    for sensor, kind, *numbers in OTHERS:
-        for (title, _, unit), paper in zip(values, numbers, strict=True):
-            name, text = f'{sensor}, {kind}: {title}', 'cited by the paper'
-            rows.append(Row(name, Value.of([]), paper, TABLE_PLACE, unit, text, simulated=False))
-    return Outcome(describe(context.sizes, 'dynamic'), rows)
-
-
-def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value, str], ...]:
-    """Return rate, error and largest force with their units."""
-    metrics = [pooled(trials) for trials in by_seed.values()]
-    return (
-        ('rate', Value.of(rate_hz(trials) for trials in by_seed.values()), 'Hz'),
-        ('MAE of the normal force', Value.of(each['mae'] for each in metrics), 'N'),
-        ('largest force tested', Value.of(each['peak_truth'] for each in metrics), 'N'),
-    )

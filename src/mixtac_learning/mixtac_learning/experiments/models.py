@@ -24,11 +24,12 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac.figures import make_table
+from mixtac.options import JsonFile
 from mixtac_core.node.files import write_json
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import Model as Weights
 from mixtac_fger.weights import read_model, write_model
-from mixtac_learning.commands import JsonFile
 from mixtac_learning.experiments.harness import (
     NETWORKS,
     PRESET,
@@ -43,7 +44,6 @@ from mixtac_learning.experiments.harness import (
 )
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
 from mixtac_learning.judge.metrics import by_profile, measure
-from mixtac_learning.judge.report import make_table
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.train.run import recipe_of, train_model, training_sources
 from mixtac_learning.trials.samples import prepare
@@ -224,17 +224,12 @@ def error_rows(
         conditions: Which trials these are.
     """
     metrics = [pooled(estimates) for estimates in by_seed.values()]
-    return [
-        Row(
-            f'{name}: {title}',
-            Value.of(each.get(key, math.nan) for each in metrics),
-            paper.get(key),
-            place,
-            unit,
-            conditions,
-        )
-        for key, title, unit in (('mae', 'MAE', 'N'), ('rmse', 'RMSE', 'N'), ('r2', 'R2', ''))
-    ]
+    rows = []
+    for key, unit in (('mae', 'N'), ('rmse', 'N'), ('r2', '')):
+        value = Value.of(each.get(key, math.nan) for each in metrics)
+        title = f'{name}: {key.upper()}'
+        rows.append(Row(title, value, paper.get(key), place, unit, conditions))
+    return rows
 
 
 def rate_hz(estimates: Sequence[TrialEstimate]) -> float:

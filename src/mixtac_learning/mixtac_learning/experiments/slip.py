@@ -22,24 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac.figures import FORCE, PAPER, new_axes, save_figure
 from mixtac_core.events.arrays import Events
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
-from mixtac_learning.experiments.harness import (
-    NETWORKS,
-    PRESET,
-    Context,
-    Outcome,
-    Row,
-    Value,
-    experiment,
-)
+from mixtac_learning.experiments.harness import PRESET, Context, Outcome, Row, Value, experiment
 from mixtac_learning.judge.estimators import stream
-from mixtac_learning.judge.report import PAPER, new_axes, save_figure
-from mixtac_learning.train.config import OURS
 from mixtac_learning.trials.trial import SimulatedSource
 from mixtac_sim.arm import READY, JointTrajectoryController, LaggingArm, Trajectory, violations
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
@@ -316,8 +307,6 @@ class TrialPlan:
             of the trial, with the arm at rest and without a knock.
         knock_mm_s: Speed of the object after the knock [mm/s]; None to compute it from a random
             share of the momentum of the falling weight.
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
-            object.
         preset: Difficulty preset of the virtual sensor.
         settings: Settings of the slip controller.
         knock_s: Onset of the knock [s].
@@ -330,7 +319,6 @@ class TrialPlan:
     seed: int = 0
     margin: float = 1.05
     knock_mm_s: float | None = None
-    stiffness_n_per_mm: float | None = None
     preset: str = 'paper_like'
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
     knock_s: float = KNOCK_S
@@ -345,7 +333,6 @@ class TrialPlan:
             margin=self.margin,
             knock_mm_s=self.knock_mm_s,
             knock_s=knock_s,
-            stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
         if self.pulse_s is not None:
             setup = replace(setup, pulse_s=self.pulse_s)
@@ -457,7 +444,6 @@ FIRST_SEED = 86_000
 MARGIN = 1.05
 """Ratio of the grasp force to the smallest force that holds the object."""
 _PLACE = 'section IV-F, Fig. 8'
-_COLOUR = NETWORKS[OURS].colour
 Results = dict[str, list[dict[str, Any]]]
 
 
@@ -536,7 +522,7 @@ def _median(trials: Sequence[Mapping[str, Any]], key: str) -> Value:
 def _draw(path: Path, results: Results) -> Path:
     figure, (ax,) = new_axes()
     for trial in results.get('box', []):
-        ax.plot(COURSE_MS, trial['course_mm'], color=_COLOUR, lw=0.8)
+        ax.plot(COURSE_MS, trial['course_mm'], color=FORCE, lw=0.8)
     ax.plot(PAPER_MS, PAPER_BOX_MM, 'D', color=PAPER, label='paper, one trial')
     ax.set(xlabel='time from the knock [ms]', ylabel='displacement [mm]', title='box, simulated')
     ax.legend(frameon=False, fontsize=8)

@@ -23,16 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac.figures import new_axes, save_figure
 from mixtac_core.events.arrays import Events
-from mixtac_learning.experiments.harness import (
-    PRESET,
-    Context,
-    Outcome,
-    Row,
-    Value,
-    experiment,
-)
-from mixtac_learning.judge.report import new_axes, save_figure
+from mixtac_learning.experiments.harness import PRESET, Context, Outcome, Row, Value, experiment
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.segments import Profile, Segment, Tone

@@ -207,10 +207,8 @@ def _estimate(
     label, name = trial.label(), str(trial.origin.get('name', 'trial'))
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
     if not inside.any():
-        raise DatasetError(
-            f'{name} gives no estimate',
-            remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
-        )
+        remedy = f'begin trials with {SETTLE_FRAMES} frames without contact'
+        raise DatasetError(f'{name} gives no estimate', remedy=remedy)
     times = t_us[inside]
     reference = trial.reference if trial.truth is not None else None
     fields: dict[str, Any] = {

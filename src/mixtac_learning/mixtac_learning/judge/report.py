@@ -5,22 +5,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
-from rich.text import Text
 
-from mixtac_core.node.files import FileError, replacing
+from mixtac.figures import make_table, new_axes, save_figure
+from mixtac_core.node.files import replacing
 from mixtac_core.node.topics import REFERENCE
 from mixtac_core.recordings.bag import distinct_names
 from mixtac_fger.validity import Reason
-from mixtac_fger.weights import read_model
+from mixtac_fger.weights import Model
 from mixtac_learning.judge.estimators import (
     TrialEstimate,
     TrialEstimator,
@@ -30,42 +29,13 @@ from mixtac_learning.judge.estimators import (
 from mixtac_learning.judge.metrics import by_profile, fit_scale, trial_row
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.trial import DatasetError, SimulatedSource
-from mixtac_sim.world.plans import TrialSpec, evaluation_plan, unseen_devices
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
-TRUTH = '#1f1f1f'
-"""Colour of the true force."""
-PAPER = '#8a8a8a'
-"""Colour of the paper's values."""
-
+from mixtac_sim.world.plans import TrialSpec, evaluation_plan
 
 COLUMNS = (
-    'mae',
-    'rmse',
-    'r2',
-    'calibrated_mae',
-    'sideways_mae',
-    'torque_mae_nmm',
-    'peak_error',
-    'coverage_68',
-    'coverage_95',
+    *('mae', 'rmse', 'r2', 'calibrated_mae', 'sideways_mae', 'torque_mae_nmm', 'peak_error'),
+    *('coverage_68', 'coverage_95'),
 )
 """Figures that are shown, in this order; those that no row has are left out."""
-
-
-def make_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
-    """Return a table; its first column is aligned to the left, values to the right."""
-    # Names may hold square brackets.
-    table = Table(title=Text(title, 'table.title'), title_justify='left')
-    for number, heading in enumerate(headings):
-        table.add_column(Text(heading), justify='right' if number else 'left')
-    for row in rows:
-        table.add_row(*(Text(str(cell)) for cell in row))
-    return table
 
 
 def show_figures(title: str, figures: Mapping[str, Mapping[str, Any]]) -> None:
@@ -83,34 +53,6 @@ def show_skipped(skipped: Mapping[str, str]) -> None:
     """Print which trials were left out and why."""
     for name, reason in skipped.items():
         print(f'left out {name}: {reason}')
-
-
-def new_axes(
-    columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its axes with a grid, row by row; sizes in inches."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout='constrained')
-    flat = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for ax in flat:
-        ax.grid(alpha=0.25)
-    return figure, flat
-
-
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Save a figure and return its path; its suffix gives the format.
-
-    Raises:
-        FileError: The file cannot be written, or its suffix is not that of a format.
-    """
-    try:
-        with replacing(path) as scratch:
-            figure.savefig(scratch, dpi=110)
-    except ValueError as error:
-        message = f'cannot write {path}: {error}'
-        raise FileError(message, remedy='name a .png or .pdf file') from error
-    return path
 
 
 MOST_ROWS = 4
@@ -179,7 +121,7 @@ def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
 
 
 def judge_bags(
-    path: Path, folders: Sequence[Path], reference: str = REFERENCE
+    model: Model, folders: Sequence[Path], reference: str = REFERENCE
 ) -> tuple[list[TrialEstimate], dict[str, Any]]:
     """Judge a model on bags against the force that is known of each.
 
@@ -187,7 +129,7 @@ def judge_bags(
     only the test split is.
 
     Args:
-        path: Weight file.
+        model: Content of a weight file.
         folders: Bags, or folders of bags.
         reference: Topic of the reference force.
 
@@ -196,10 +138,10 @@ def judge_bags(
         bags were `skipped`.
 
     Raises:
-        ModelError: The weight file cannot be used.
+        ModelError: The weights do not fit their architecture.
         DatasetError: No trial can be evaluated.
     """
-    model, chosen = read_model(path), _chosen_bags(folders, reference)
+    chosen = _chosen_bags(folders, reference)
     trained = model.card.training.get('bags', ())
     if known := ', '.join(bag.name for bag in chosen if bag.path.name in trained):
         warning = 'warning: the model was trained on bags of these names:'
@@ -269,28 +211,3 @@ def judge_devices(
         'rows': [trial_row(each) for each in estimates],
         'skipped': skipped,
     }
-
-
-def judge_unseen(
-    path: Path, gels: int, seconds: float, seed: int, preset: str
-) -> tuple[list[TrialEstimate], dict[str, Any]]:
-    """Judge a model on simulated sensors that no training has used.
-
-    Args:
-        path: Weight file.
-        gels: Number of sensors.
-        seconds: Length of a trial.
-        seed: Random seed for the sensors and trials.
-        preset: How difficult the trials are.
-
-    Returns:
-        As `judge_devices`, for JSON with the options as `simulated`.
-
-    Raises:
-        ModelError: The weight file cannot be used.
-        MixtacError: As `judge_devices`.
-    """
-    estimator, devices = trial_estimator(read_model(path)), unseen_devices(gels, seed)
-    estimates, content = judge_devices(estimator, devices, seconds, seed, preset)
-    options = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
-    return estimates, {'simulated': options} | content

@@ -47,14 +47,13 @@ class PaperEstimator(Estimator):
 
     Args:
         model: Weights are copied.
-        device: Where to compute; empty for a GPU where there is one.
 
     Raises:
         ModelError: The model is of another architecture, or its tensors do not fit.
     """
 
-    def __init__(self, model: Model, device: str = '') -> None:
-        self._device = torch.device(device or usual_device())
+    def __init__(self, model: Model) -> None:
+        self._device = torch.device(usual_device())
         self._network = paper_network_of(model).to(self._device)
         self._config = config = self._network.config
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
@@ -79,10 +78,9 @@ class PaperEstimator(Estimator):
         """
         config, network = self._config, self._network
         if image.shape != (config.height, config.width):
+            wanted = f'the model reads {config.height} rows and {config.width} columns'
             raise ImageError(
-                f'image of shape {image.shape}; the model reads {config.height} rows and'
-                f' {config.width} columns',
-                remedy='set the camera to full resolution',
+                f'image of {image.shape}: {wanted}', remedy='set the camera to full resolution'
             )
         mean = np.empty(config.frame_shape, np.float32)
         bin_mean(image, config.scale, mean)

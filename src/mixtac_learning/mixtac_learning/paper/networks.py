@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from mixtac_fger.config import ConfigError, ModelError
+from mixtac_fger.config import ModelError
 from mixtac_fger.weights import Model, ModelCard
 from mixtac_learning.network import arrays_of, load_arrays, perceptron
 from mixtac_learning.paper.config import PaperConfig
@@ -301,7 +301,6 @@ def build(config: PaperConfig) -> PaperNetwork:
 
 PAPER_ARCHITECTURE = 'fger_paper'
 PAPER_VERSION = 3
-_REMEDY = 'train one with "mixtac train fger_paper"'
 
 
 def paper_model_of(network: PaperNetwork, card: ModelCard) -> Model:
@@ -315,20 +314,16 @@ def paper_network_of(model: Model) -> PaperNetwork:
 
     Raises:
         ModelError: The model is of another architecture or version, or its tensors do not fit.
+        ConfigError: Its configuration is impossible.
     """
     found = (model.architecture, model.version)
     if found != (PAPER_ARCHITECTURE, PAPER_VERSION):
         raise ModelError(
             f'the weights are of {found[0]} version {found[1]}, but {PAPER_ARCHITECTURE} version'
             f' {PAPER_VERSION} is needed',
-            remedy=_REMEDY,
+            remedy='train one with "mixtac train fger_paper"',
         )
-    try:
-        network = build(PaperConfig.from_dict(model.config))
-    except (ConfigError, ValueError, TypeError) as error:
-        raise ModelError(
-            f'the configuration of the weights cannot be used ({error})', remedy=_REMEDY
-        ) from error
+    network = build(PaperConfig.from_dict(model.config))
     load_arrays(network, model.tensors)
     return network.eval()
 

@@ -180,22 +180,15 @@ class BagSource:
         return {'bag': str(self.path)} | self.described | {'name': self.name}
 
     def content_key(self) -> str:
-        """Return a digest of the bag's files and description, clock fit and reference topic.
-
-        Raises:
-            DatasetError: They cannot be read.
-        """
+        """Return a digest of the bag's files and description, clock fit and reference topic."""
         digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
         digest.update(json.dumps(self.described, sort_keys=True, default=str).encode())
         fit = fit_path(self.path)
-        try:
-            files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
-            for path in [*files, *([fit] if fit.exists() else [])]:
-                with path.open('rb') as file:
-                    while block := file.read(_BLOCK):
-                        digest.update(block)
-        except OSError as error:
-            raise DatasetError(f'{self.path} cannot be read ({error}): check the path') from error
+        files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
+        for path in [*files, *([fit] if fit.exists() else [])]:
+            with path.open('rb') as file:
+                while block := file.read(_BLOCK):
+                    digest.update(block)
         return digest.hexdigest()
 
     def load(self) -> TrialArrays:

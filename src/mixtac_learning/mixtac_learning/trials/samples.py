@@ -288,13 +288,8 @@ def _features(
 
 
 UNSEEN_BY_SAMPLES = {
-    'reference_stillness',
-    'event_hidden',
-    'event_size',
-    'lstm_size',
-    'mlp_size',
-    'force_unit',
-    'shear',
+    *('reference_stillness', 'event_hidden', 'event_size', 'lstm_size', 'mlp_size'),
+    *('force_unit', 'shear'),
     'history_windows',
 }
 """Fields of the configuration that do not change what a sample holds."""

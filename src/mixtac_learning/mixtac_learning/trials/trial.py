@@ -89,10 +89,8 @@ class TrialArrays:
         """
         found = self.truth or self.reference
         if found is None:
-            raise DatasetError(
-                f'no force is known of {self.origin.get("name", "a trial")}',
-                remedy='record the reference sensor beside the camera',
-            )
+            name = self.origin.get('name', 'a trial')
+            raise DatasetError(f'{name} has no force: record the reference beside the camera')
         return found
 
 

@@ -17,7 +17,7 @@ from mixtac_learning.experiments.slip import (
     start_trial,
 )
 
-PLAN = TrialPlan('box', 3, 1.03, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
+PLAN = TrialPlan('box', 3, 1.03, knock_mm_s=40.0, preset='easy')
 
 
 def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:

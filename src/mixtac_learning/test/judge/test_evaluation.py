@@ -89,9 +89,7 @@ def test_a_folder_of_training_bags_is_refused_with_their_number(
 ):
     sources = sources_of(('a', 'train'), ('b', 'train'), trial=trial)
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
-    path = tmp_path / 'm.safetensors'
-    write_model(path, model)
     with pytest.raises(DatasetError) as caught:
-        evaluation.judge_bags(path, [tmp_path])
+        evaluation.judge_bags(model, [tmp_path])
     assert ' 2 ' in str(caught.value)
     assert caught.value.remedy

@@ -50,16 +50,3 @@ def test_forces_come_per_window_and_there_is_nothing_to_tare(weights, trial):
     assert [each.end_us for each in found] == list(range(102_000, 120_001, 2000))
     assert np.isfinite([each.force for each in found]).all()
     assert {each.deviation for each in found} == {None}
-
-
-@pytest.mark.dds
-def test_the_node_runs_the_papers_network(weights, node_under_test):
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
-    node_under_test.start('mixtac_fger.fger_node', f'model:={weights}')
-    for wanted in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-        request = ChangeState.Request()
-        request.transition.id = wanted
-        assert node_under_test.call(ChangeState, '/mixtac/fger/change_state', request).success
-    assert node_under_test.process.end() == 0

@@ -31,7 +31,7 @@ TRAINING_PROFILES = (
 )
 """Taken in turn. Impacts come twice: they are short, and a net that saw none misses them."""
 EVALUATION_PROFILES = ('press', 'oscillation', 'impact', 'dynamic', 'static', 'demo')
-TRAINING_PRESET = 'easy'
+TRAINING_PRESET: Final = 'easy'
 """Default preset of simulated training and evaluation trials."""
 TRAINING_DEVICES = 100_000
 """First device seed of training; 100,000 seeds from here on are training's."""
