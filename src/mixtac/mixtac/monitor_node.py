@@ -55,7 +55,8 @@ class CommandNode(BaseNode, Node):  # type: ignore[misc]
             namespace: Its namespace.
         """
         with starting():
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            # The arguments of the command are not those of ROS, and need not be UTF-8.
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             node = cls(name, namespace=f'/{namespace.strip("/")}')
         try:
             yield node

@@ -109,7 +109,7 @@ class Listener(CommandNode):
 
     Args:
         name: Name of the node.
-        namespace: Namespace of the sensor; one on the command line takes precedence.
+        namespace: Namespace of the sensor.
 
     Attributes:
         meters: One per topic.
