@@ -56,7 +56,7 @@ def measure(seconds: float) -> dict[str, Any]:
             time.sleep(min(PERIOD_S, seconds - elapsed_s))
             group.check()
             samples.append({'t_s': time.monotonic() - began_s, **resources(processes)})
-        arrival_ns, stamp_ns = monitor.estimate.samples(first)[0]
+        arrival_ns, stamp_ns = monitor.estimate.samples()[0][:, first:]
         stopped_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
     age_ms = (arrival_ns - stamp_ns) / 1e6
     return {

@@ -52,7 +52,7 @@ CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
 """Widths around the contact over which moments of a frame are summed [bins]."""
-PRESSES = 2
+PRESSES = 3
 """Number of moments of a frame that the normal force follows from; see `mixtac_fger.moments`."""
 MOMENTS = PRESSES + 7 + len(TURNING_WIDTHS)
 """Number of all moments of a frame."""

@@ -287,7 +287,7 @@ class FramePreparation:
         return EventGuide(along_x, along_y, solvers)
 
     def compare(self, contrast: Contrast, reference: F32) -> F32:
-        """Return the moments of the displacement since the reference, float32 [13].
+        """Return the moments of the displacement since the reference, float32 [14].
 
         The part that a smooth change of light since the reference explains is first removed from
         the frame, and the reference grows as the gel did up to the frame before. Frames must be in

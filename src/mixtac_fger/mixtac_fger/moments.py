@@ -14,15 +14,15 @@ is zero; for a turn, D and S are zero. Beads that are pressed towards the camera
 optical axis in the image. For a contact at c from the axis, this adds to S a part proportional to
 :math:`L = D c / w`; L is therefore computed as well.
 
-A contact is no point. To second order its width r changes the displacement by a part proportional
-to the square of r, as a load's second moment does, so that the normal force is
+A contact is no point. Its width r changes the displacement by parts proportional to even powers of
+r, so that the normal force is
 
-.. math:: F = D \, (p_0 + p_1 r^2),
+.. math:: F = D \, (p_0 + p_1 r^2 + p_2 r^4),
 
-with constants p that depend on the gel only. The contact is at the mean of the
-places, weighted by the square of the divergence of u where that is positive, and r is the root mean
-square distance from it, weighted alike. A turn has no divergence. A pull shifts the mean along its
-own direction only, which adds no moment.
+with constants p that depend on the gel only. The contact is at the mean of the places, weighted by
+the divergence of u above a share of its peak, and r is the root mean square distance from it,
+weighted alike. A turn has no divergence. A pull shifts the mean along its own direction only, which
+adds no moment.
 
 Between frames, the moments of the event flow, :math:`u = e \, v`, are added to the moments: v is
 the displacement per contrast threshold, and e (`PER_EVENT`) scales it to the displacement in
@@ -47,8 +47,10 @@ if TYPE_CHECKING:
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-RISE: Final = 2
+RISE: Final = 4
 """Half the distance over which the divergence is taken [bins]."""
+PEAK_SHARE: Final = 0.3
+"""Share of the peak of the divergence from which on there is contact; noise stays below."""
 SMALL_PRESS: Final = 3.0
 """Moment D at which half of the place and of the width of a contact is believed [bins]: 0.1 N."""
 
@@ -59,25 +61,30 @@ def moments(flow: F32, out: F32) -> None:
 
     Args:
         flow: Displacement x and y since the reference, y downwards [bins], [2, rows, columns].
-        out: D, D r^2, S right and up, L right and up, place of the contact right and up from the
-            middle, its r^2, and T over each of `TURNING_WIDTHS`; all but T over the last of these;
-            in bins, float32 [`MOMENTS`]. 0 where nothing has moved.
+        out: D, D r^2, D r^4, S right and up, L right and up, place of the contact right and up from
+            the middle, its r^2, and T over each of `TURNING_WIDTHS`; all but T over the last of
+            these; in bins, float32 [`MOMENTS`]. 0 where nothing has moved.
     """
     rows, columns = flow.shape[1:]
-    total, right, below, square = 0.0, 0.0, 0.0, 0.0
+    out[:] = 0.0
+    stretch = np.zeros((rows, columns), np.float32)
     for row in range(RISE, rows - RISE):
         for column in range(RISE, columns - RISE):
-            spread = flow[0, row, column + RISE] - flow[0, row, column - RISE]
-            spread += flow[1, row + RISE, column] - flow[1, row - RISE, column]
-            if spread > 0.0:
-                weight = spread * spread
+            along = flow[0, row, column + RISE] - flow[0, row, column - RISE]
+            down = flow[1, row + RISE, column] - flow[1, row - RISE, column]
+            stretch[row, column] = along + down
+    least = PEAK_SHARE * stretch.max()
+    if not least > 0.0:
+        return
+    total, right, below, square = 0.0, 0.0, 0.0, 0.0
+    for row in range(rows):
+        for column in range(columns):
+            weight = stretch[row, column] - least
+            if weight > 0.0:
                 total += weight
                 right += weight * column
                 below += weight * row
                 square += weight * (column * column + row * row)
-    out[:] = 0.0
-    if not total > 0.0:
-        return
     right, below = right / total, below / total
     # Rounding may leave less than nothing of a single place.
     wide = max(square / total - right * right - below * below, 0.0)
@@ -104,6 +111,7 @@ def moments(flow: F32, out: F32) -> None:
         # What is left after the last width stays.
         out[0] = press / (width * width)
         out[1] = out[0] * wide
+        out[2] = out[1] * wide
         out[PRESSES] = pull_x / width
         out[PRESSES + 1] = -pull_y / width
         out[PRESSES + 2] = out[0] * (right - 0.5 * (columns - 1)) / width
@@ -160,6 +168,7 @@ def moments_of_cells(contact: tuple[float, float, float], shape: tuple[int, int]
             cell[PRESSES, 0], cell[PRESSES + 1, 1] = near / width, -near / width
             for axis in range(2):
                 cell[1, axis] = cell[0, axis] * contact[2]
+                cell[2, axis] = cell[1, axis] * contact[2]
                 cell[PRESSES + 2, axis] = cell[0, axis] * lean_x / width
                 cell[PRESSES + 3, axis] = -cell[0, axis] * lean_y / width
 
@@ -173,7 +182,7 @@ class FlowMoments:
 
     Args:
         config: Network configuration.
-        spread: Of each moment, float32 [13].
+        spread: Of each moment, float32 [14].
     """
 
     def __init__(self, config: FgerConfig, spread: F32) -> None:
@@ -187,10 +196,10 @@ class FlowMoments:
         """Return the change of the moments by a flow of one pixel per contrast threshold.
 
         Args:
-            feature: Moments of the frame over their spread, float32 [13].
+            feature: Moments of the frame over their spread, float32 [14].
 
         Returns:
-            Change over the spread, by x and y in each cell, [13, grid rows, grid columns, 2].
+            Change over the spread, by x and y in each cell, [14, grid rows, grid columns, 2].
         """
         contact = contact_of(feature * self._spread, self._shape)
         moments_of_cells(contact, self._shape, self._cells)

@@ -290,7 +290,7 @@ class RecurrentPath:
         """Relate motion and force by the latest frame from now on.
 
         Args:
-            frame_feature: Moments of the frame over their spread, float32 [13].
+            frame_feature: Moments of the frame over their spread, float32 [14].
             press: Change of the force by a flow of one pixel per threshold in each cell of the
                 event grid [N], [grid rows, grid columns, 2].
         """

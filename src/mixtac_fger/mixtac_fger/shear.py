@@ -136,7 +136,7 @@ class ShearHead:
         """Return the measurement of a frame.
 
         Args:
-            feature: Moments of the frame over their spread, float32 [13].
+            feature: Moments of the frame over their spread, float32 [14].
             per_flow: Of `mixtac_fger.moments.FlowMoments`.
         """
         per_moment = self._per_moment

@@ -63,7 +63,7 @@ def test_the_shipped_model_has_the_shapes_of_its_configuration():
     model = read_model(find_model('fger_small'))
     shapes = {name: tensor.shape for name, tensor in model.tensors.items()}
     assert shapes == tensor_shapes(FgerConfig.from_dict(model.config))
-    assert open_estimator(model).parameters == 29_625
+    assert open_estimator(model).parameters == 29_658
 
 
 def test_files_that_are_no_models_are_named(tmp_path):

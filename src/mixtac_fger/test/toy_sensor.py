@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixtac_core.events.arrays import Events
-from mixtac_fger.config import ARCHITECTURE, VERSION, FgerConfig, tensor_shapes
+from mixtac_fger.config import ARCHITECTURE, PRESSES, VERSION, FgerConfig, tensor_shapes
 from mixtac_fger.estimator import Estimate
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.streaming import ForceEstimator
@@ -103,6 +103,7 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
         limit = 1.0 / np.sqrt(max(float(inputs), 1.0))
         tensors[name] = random.uniform(-limit, limit, shape).astype(np.float32)
     tensors['frame.spread'][:] = 20.0
+    tensors['frame.spread'][1:PRESSES] = 2e4, 2e7
     # Below the threshold of contact, so that a tare is possible at any time.
     tensors['frame.press'] *= 0.1
     tensors['event.scale'][:] = (2.0, 2.0, 3.0, 3.0)

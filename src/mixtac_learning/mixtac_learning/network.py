@@ -43,7 +43,7 @@ class SequenceState(NamedTuple):
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
         offset: Force of the latest frame less the element of `history` at the centre of its
             exposure, [B] in N; history[-1] + offset is the estimate.
-        seen: Features of the latest frame, [B, 13].
+        seen: Features of the latest frame, [B, 14].
     """
 
     hidden: Tensor
@@ -90,8 +90,8 @@ class FrameForces(nn.Module):
     """Constants of the forces that a frame shows; they are fitted, not trained by gradients.
 
     Attributes:
-        spread: Of each moment, [13]; features of a frame are its moments over these.
-        press: Normal force per D and D r^2 over their spread [N], [2].
+        spread: Of each moment, [14]; features of a frame are its moments over these.
+        press: Normal force per D, D r^2 and D r^4 over their spread [N], [3].
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class FrameForces(nn.Module):
         self.register_buffer('press', torch.zeros(PRESSES))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return the normal force of frames [N], [...], by their features [..., 13]."""
+        """Return the normal force of frames [N], [...], by their features [..., 14]."""
         return torch.Tensor(features[..., :PRESSES] @ self.press)
 
 
@@ -191,7 +191,7 @@ class FgerNetwork(nn.Module):
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
-            frames: Features of all frames that `slots` names, [N, 13].
+            frames: Features of all frames that `slots` names, [N, 14].
             slots: When which frame becomes available.
             state: State before the first window.
         """

@@ -30,7 +30,7 @@ class Sequences:
         across: Sideways force x, y [N] and torsion [N mm], nan where unknown, float32 [T, B, 3].
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_moments`.
-        frame_moments: Moments of all frames of all trials (`mixtac_fger.moments`), float32 [N, 13].
+        frame_moments: Moments of all frames of all trials (`mixtac_fger.moments`), float32 [N, 14].
         frame_force: Mean label per exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         frame_trial: Which trial each frame belongs to, int64 [N].
@@ -105,7 +105,7 @@ def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
 
 
 def mirror_moments(moments: Tensor, columns: bool, rows: bool) -> Tensor:
-    """Return moments of frames [..., 13] as a mirrored sensor would give them."""
+    """Return moments of frames [..., 14] as a mirrored sensor would give them."""
     right, up = (-1.0 if each else 1.0 for each in (columns, rows))
     signs = [1.0] * PRESSES + [right, up] * 3 + [1.0] + [right * up] * len(TURNING_WIDTHS)
     return moments * moments.new_tensor(signs)
@@ -177,7 +177,7 @@ Flip = tuple[bool, bool]
 
 
 def features_of(network: FgerNetwork, sequences: Sequences, flip: Flip = (False, False)) -> Tensor:
-    """Return the features of all frames, or of their mirror images, [N, 13].
+    """Return the features of all frames, or of their mirror images, [N, 14].
 
     Args:
         network: FGER-Net.

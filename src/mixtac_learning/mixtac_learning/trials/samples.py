@@ -179,7 +179,7 @@ class Sample:
         across: Sideways force x, y [N] and torsion [N mm] there, nan if unknown, float32 [T, 3].
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
-        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 13].
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 14].
         frame_force: Mean label over each exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.

@@ -23,13 +23,13 @@ def frames() -> Frames:
     random = np.random.default_rng(1)
     moments = random.normal(size=(6000, MOMENTS)) * np.linspace(1.0, 30.0, MOMENTS)
     sensor = np.arange(6000) % 3
-    force = GAINS[sensor, 0] * (moments[:, :2] @ [0.5, -0.01])
-    pulls = [0.3 * moments[:, 2 + axis] - 0.1 * moments[:, 4 + axis] for axis in range(2)]
+    force = GAINS[sensor, 0] * (moments[:, :3] @ [0.5, -0.01, 0.1])
+    pulls = [0.3 * moments[:, 3 + axis] - 0.1 * moments[:, 5 + axis] for axis in range(2)]
     torsion = moments[:, -4:] @ [0.0, 0.2, 0.1, 0.0]
     across = GAINS[sensor, 1, None] * np.stack([*pulls, torsion], 1)
     across[::7] = np.nan
     # Some labels are wholly wrong.
-    force[::50] += 5.0
+    force[::100] += 5.0
     return Frames(moments, force, across, sensor)
 
 
@@ -39,8 +39,8 @@ def test_constants_and_gains_are_found_in_spite_of_wrong_labels(frames):
     np.testing.assert_allclose(gains, GAINS, rtol=0.05)
     spread = network.frame.spread
     torch.testing.assert_close(
-        torch.cat([network.frame.press / spread[:2], network.shear.pull / spread[[2, 4]]]),
-        torch.tensor([0.5, -0.01, 0.3, -0.1]),
+        torch.cat([network.frame.press / spread[:3], network.shear.pull / spread[[3, 5]]]),
+        torch.tensor([0.5, -0.01, 0.1, 0.3, -0.1]),
         rtol=0.05,
         atol=0.0,
     )
