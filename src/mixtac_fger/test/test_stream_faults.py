@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -217,15 +218,17 @@ def test_frames_compared_with_the_reference_before_a_tare_are_left_out(model, tr
 
 
 def test_a_contact_at_the_start_is_felt_from_the_first_window_on(model, trial):
-    opened = FgerEstimator(model)
+    # The increments of random weights are small beside the force of this frame.
+    tensors = {**model.tensors, 'frame.press': 100.0 * model.tensors['frame.press']}
+    opened = FgerEstimator(replace(model, tensors=tensors))
     opened.reference.use(ready(model, trial).reference.array)
     estimator = ForceEstimator(opened)
     pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
     estimator.push_frame(pressed, START_US - 5000)
     estimator.push_events(Events.empty(), START_US)
     (found,) = estimator.push_events(Events.empty(), START_US + 2000)
-    assert abs(estimator.frame_force) > 1e-3
-    assert found.force == pytest.approx(estimator.frame_force, rel=0.3)
+    assert abs(estimator.frame_force) > 0.1
+    assert found.force == pytest.approx(estimator.frame_force, rel=0.2)
 
 
 def test_frames_that_nobody_fetches_do_not_pile_up():
