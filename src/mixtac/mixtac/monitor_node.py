@@ -55,7 +55,7 @@ class CommandNode(BaseNode, Node):  # type: ignore[misc]
             namespace: Its namespace.
         """
         with starting():
-            # The arguments of the command are not those of ROS, and need not be UTF-8.
+            # ROS must not read the arguments of the command, which need not be UTF-8.
             rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             node = cls(name, namespace=f'/{namespace.strip("/")}')
         try:

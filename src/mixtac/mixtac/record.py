@@ -137,7 +137,10 @@ class Listener(CommandNode):
         namespace = self.get_namespace()
         own = {each.resolved(namespace) for each in topics.TOPICS if each.name != REFERENCE}
         if reference.resolved(namespace) in own:
-            raise RecordingError(f'{reference_topic} is of the sensor: name that of the reference')
+            raise RecordingError(
+                f'{reference_topic} is a topic of the sensor, not of its reference',
+                remedy='name the topic of the reference force sensor',
+            )
         for each in topics.TOPICS:
             topic = reference if each.name == REFERENCE else each
             topic = replace(topic, depth=1 if topic.latched else max(DEPTH, topic.depth))

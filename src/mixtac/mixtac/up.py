@@ -121,10 +121,8 @@ def up(
     from mixtac.monitor_node import Monitor
 
     play = play and is_virtual(device)
-    estimator, virtual_sensor = (
-        ({'model': model} if model else {}),
-        ({'loop': True} if play else {}),
-    )
+    estimator = {'model': model} if model else {}
+    virtual_sensor = {'loop': True} if play else {}
     nodes = sensor_graph(device, estimator=estimator, virtual_sensor=virtual_sensor, view=view)
     with ProcessGroup() as processes:
         if record is not None:

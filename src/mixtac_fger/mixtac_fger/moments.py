@@ -26,9 +26,9 @@ adds no moment.
 
 Between frames, the moments of the event flow, :math:`u = e \, v`, are added to the moments: v is
 the displacement per contrast threshold, and e (`PER_EVENT`) scales it to the displacement in
-frames. The same constants convert both to a force. The width is that of the latest frame.
+frames. The same constants convert both to a force. The latest frame gives the width.
 
-Axes are those of the contact frame: x to the right and y upwards in the image.
+The contact frame gives the axes: x to the right and y upwards in the image.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ F64 = NDArray[np.float64]
 RISE: Final = 4
 """Half the distance over which the divergence is taken [bins]."""
 PEAK_SHARE: Final = 0.3
-"""Share of the peak of the divergence from which on there is contact; noise stays below."""
+"""Share of the peak of the divergence above which a place counts as contact."""
 SMALL_PRESS: Final = 3.0
 """Moment D at which half of the place and of the width of a contact is believed [bins]: 0.1 N."""
 
@@ -108,7 +108,7 @@ def moments(flow: F32, out: F32) -> None:
             pull_y += down * row_y
             turn += down * row_turn
         out[MOMENTS - len(TURNING_WIDTHS) + index] = turn / (width * width)
-        # What is left after the last width stays.
+        # The values of the last width stay.
         out[0] = press / (width * width)
         out[1] = out[0] * wide
         out[2] = out[1] * wide

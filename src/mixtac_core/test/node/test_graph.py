@@ -67,7 +67,7 @@ LEFT = {'reference_topic': '/left/ft'}
                 'fger': FREE,
             },
         ),
-        # Simulated time is that of the driver, of the virtual sensor, or of a bag player.
+        # The driver, the virtual sensor or a bag player gives the simulated time.
         (
             '/some/bag',
             {'simulated_time': True},

@@ -10,7 +10,7 @@ forces across it. With the moments m of a frame,
 
 Constants and gains are fitted in turn: the constants by least squares in which large errors count
 linearly, the gains by plain least squares, drawn towards 1. Their geometric mean is 1, so that the
-constants are those of a gel of usual stiffness. A new sensor has gains of 1 until it is calibrated.
+constants describe a gel of usual stiffness. A new sensor has gains of 1 until it is calibrated.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Frames:
     """All frames of the trials.
 
     Attributes:
-        moments: Of each frame, float64 [N, 11].
+        moments: Of each frame, float64 [N, 14].
         force: Mean label over its exposure [N], [N].
         across: Sideways force x, y [N] and torsion [N mm], nan where unknown, [N, 3].
         sensor: Which sensor it is of, counted from 0, int64 [N].

@@ -66,7 +66,7 @@ def stack(
     Args:
         samples: Trials.
         devices: Number of the sensor of each; None if each is of another.
-        length: Windows to pad to; None for those of the longest.
+        length: Windows to pad to; None for as many as the longest trial has.
     """
     if length is None:
         length = max(len(sample.force) for sample in samples)
@@ -149,13 +149,14 @@ class DiskGroups:
 
     def frames(self) -> Frames:
         """Return the frames of all files, also of those that other processes read."""
-        samples = [load_sample(path, Sample) for path in self._paths]
-        counts = [len(sample.frame_force) for sample in samples]
-        moments, force, across = (
-            np.concatenate([np.array(getattr(each, name), np.float64) for each in samples])
-            for name in ('frame_moments', 'frame_force', 'frame_across')
-        )
-        return Frames(moments, force, across, np.repeat(self._numbers, counts))
+        names, parts = ('frame_moments', 'frame_force', 'frame_across'), []
+        for path in self._paths:
+            # Copied, so that one file at a time is mapped.
+            sample = load_sample(path, Sample)
+            parts.append([np.array(getattr(sample, name), np.float64) for name in names])
+        moments, force, across = (np.concatenate(each) for each in zip(*parts, strict=True))
+        sensor = np.repeat(self._numbers, [len(part[1]) for part in parts])
+        return Frames(moments, force, across, sensor)
 
     def load(self, index: int) -> Sequences:
         """Return a group, from memory where it was the last.

@@ -240,7 +240,8 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
     features, events, frame, lags = (
         part.cpu().numpy() for part in (frames, sequences.event_features.float(), *sequences.slots)
     )
-    moments, found = FlowMoments(config, tensors['frame.spread']), np.zeros((*events.shape[:2], 8))
+    moments = FlowMoments(config, tensors['frame.spread'])
+    found = np.zeros((*events.shape[:2], 8), np.float32)
     for trial in range(events.shape[1]):
         path = RecurrentPath(config, tensors)
         shear = ShearHead(config, tensors) if config.shear else None
@@ -258,7 +259,7 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
             if shear is not None:
                 shear.step(events[window, trial])
                 found[window, trial, 2:] = shear.course.ravel()
-    force, moved, across = np.split(found.astype(np.float32), [1, 2], axis=-1)
+    force, moved, across = np.split(found, [1, 2], axis=-1)
     across = across.reshape(*across.shape[:-1], 2, 3)
     return LiveCourse(*(torch.from_numpy(each) for each in (force[..., 0], moved[..., 0], across)))
 
