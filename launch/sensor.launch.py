@@ -34,7 +34,7 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'serial',
         default_value='',
-        description='Serial number of the camera; empty takes the only one attached',
+        description='Serial number of the camera; empty: the only one attached',
     ),
     DeclareLaunchArgument(
         'device_seed',

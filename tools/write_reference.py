@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -73,20 +74,39 @@ def config(node: str, schema: type[Any]) -> str:
     return '\n'.join(lines) + '\n'
 
 
+def stem(spec: ParameterSpec) -> tuple[str, str]:
+    """Return what the fields of one bias share: the start of their names and descriptions."""
+    subject, comma, _ = spec.description.partition(', ')
+    return (spec.name.rpartition('_')[0], subject) if comma else (spec.name, '')
+
+
+def row(fields: list[ParameterSpec]) -> str:
+    """Return the row of a parameter, or of the fields of one bias."""
+    first, (start, subject) = fields[0], stem(fields[0])
+    names = [first.name, *(each.name.removeprefix(start) for each in fields[1:])]
+    parts = '; '.join(each.description.partition(', ')[2] for each in fields)
+    cells = (
+        ', '.join(f'`{name}`' for name in names),
+        ', '.join(f'`{yaml_scalar(each.default)}`' for each in fields),
+        first.unit,
+        ', '.join(filter(None, map(allowed, fields))),
+        'fixed' if first.read_only else 'yes',
+        f'{subject}: {parts}' if len(fields) > 1 else first.description,
+    )
+    return f'| {" | ".join(cells)} |'
+
+
 def reference() -> str:
     """Return the page of topics, services and parameters; what is above these stays as it is."""
     page = (ROOT / 'docs' / 'reference.md').read_text()
     lines = [page.partition('\n## Parameters of')[0]]
     for node, schema in SCHEMAS.items():
+        if node == 'supervisor':  # `mixtac up slip` has options for both of its parameters
+            continue
         lines += [f'## Parameters of `{node}`', '']
         lines += ['| parameter | default | unit | allowed | at run time | what |']
         lines += ['|---|---|---|---|---|---|']
-        for spec in specs(schema):
-            change = 'fixed' if spec.read_only else 'yes'
-            lines.append(
-                f'| `{spec.name}` | `{yaml_scalar(spec.default)}` | {spec.unit} | {allowed(spec)} '
-                f'| {change} | {spec.description} |'
-            )
+        lines += [row(list(fields)) for _, fields in groupby(specs(schema), stem)]
         lines.append('')
     return '\n'.join(lines)
 
