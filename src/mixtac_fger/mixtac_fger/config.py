@@ -99,7 +99,7 @@ class FgerConfig:
         history_windows: How many windows the centre of an exposure may lie back.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
-        shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.shear`).
+        shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.force_path`).
     """
 
     width: int = 346

@@ -74,18 +74,6 @@ class FrameSlots(NamedTuple):
         return torch.where(self.frame >= 0, number, 0).cummax(dim=0).values
 
 
-class Course(NamedTuple):
-    """Result of a stretch of T windows of B sequences.
-
-    Attributes:
-        force: Force at the end of each window [N], [T, B].
-        state: State after the last window.
-    """
-
-    force: Tensor
-    state: SequenceState
-
-
 class FrameForces(nn.Module):
     """Constants of the forces that a frame shows; they are fitted, not trained by gradients.
 
@@ -107,7 +95,7 @@ class FrameForces(nn.Module):
 
 
 class AcrossForces(nn.Module):
-    """Constants of the sideways force and the torsion (`mixtac_fger.shear`); they are fitted.
+    """Constants of the sideways force and the torsion (`mixtac_fger.force_path`); they are fitted.
 
     Attributes:
         pull: Sideways force per S and L over their spread [N], [2].
@@ -186,8 +174,8 @@ class FgerNetwork(nn.Module):
         frames: Tensor,
         slots: FrameSlots,
         state: SequenceState,
-    ) -> Course:
-        """Run T windows of B sequences.
+    ) -> tuple[Tensor, SequenceState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last.
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
@@ -228,7 +216,7 @@ class FgerNetwork(nn.Module):
             forces.append(past[-1] + offset)
         history = torch.stack(past[-self.config.history_windows :])
         last = SequenceState(hidden, cell, history, offset, seen[-1])
-        return Course(torch.stack(forces), last)
+        return torch.stack(forces), last
 
     def _exposed(self, past: list[Tensor], slots: FrameSlots) -> Tensor:
         """Return the sum of the increments [B] at the centre of the exposure of the frames."""

@@ -22,7 +22,7 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import FileError, new_folder
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
-from mixtac_fger.shear import NEWTONS
+from mixtac_fger.force_path import NEWTONS
 from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
 
 if TYPE_CHECKING:
