@@ -96,55 +96,35 @@ The deviations of a model for unknown sensors include their unknown stiffness.
 """
 
 
-def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
+def with_gain(model: Model, gain: float, sideways: float = 1.0, deviation: float = 1.0) -> Model:
     """Return an FGER-Net model whose forces are `gain` times those of `model`, deviations as well.
 
-    The relative deviations of the sideways force stay: its gain is not known better by presses.
-
     Everything that makes a force is multiplied, everything that reads one is divided, so that the
-    recurrent state runs through the same values as before.
+    recurrent state runs through the same values as before. The relative deviations of the sideways
+    force stay: its gain is not known better by presses.
 
     Args:
         model: Not changed.
         gain: Above 0.
+        sideways: Further gain of sideways force and torsion, above 0; without effect where the
+            model gives none.
         deviation: Factor of the share of the normal force in its deviation.
 
     Raises:
-        ModelError: The gain is no such number, or as `checked_config`.
+        ModelError: A gain is no such number, or as `checked_config`.
     """
-    unit = gain * _checked(model, gain).force_unit
+    for each in (gain, sideways):
+        if not 0.0 < each < float('inf'):
+            raise ModelError(f'a gain of {each} is impossible', remedy='check the known forces')
+    unit = gain * checked_config(model).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
     for name in ('frame.press', 'increment.2.weight', 'increment.2.bias'):
         tensors[name] *= np.float32(gain)
     tensors['gates_force.weight'] /= np.float32(gain)
-    tensors['deviation'][0] *= np.float32(gain)
-    tensors['deviation'][1] *= np.float32(deviation)
+    tensors['deviation'][:2] *= np.array([gain, deviation], np.float32)
     if 'shear.unit' in tensors:
-        tensors['shear.unit'] *= np.float32(gain)
+        tensors['shear.unit'] *= np.float32(gain) * np.float32(sideways)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
-
-
-def with_sideways_gain(model: Model, gain: float) -> Model:
-    """Return an FGER-Net model whose sideways forces and torsion are `gain` times those of `model`.
-
-    Args:
-        model: Not changed.
-        gain: Above 0.
-
-    Raises:
-        ModelError: The gain is no such number, the model has no sideways force, or as
-            `checked_config`.
-    """
-    if not _checked(model, gain).shear:
-        raise ModelError('the model gives no sideways force', remedy=MODEL_REMEDY)
-    unit = model.tensors['shear.unit'] * np.float32(gain)
-    return replace(model, tensors={**model.tensors, 'shear.unit': unit})
-
-
-def _checked(model: Model, gain: float) -> FgerConfig:
-    if not 0.0 < gain < float('inf'):
-        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
-    return checked_config(model)
 
 
 class FgerEstimator(Estimator):

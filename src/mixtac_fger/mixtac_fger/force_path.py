@@ -22,7 +22,7 @@ of the output is
 with a floor b, a share s of the value, and a share h of the motion m since the frame. The motion is
 the change of the normal force by events, and for the others the sum of the absolute increments.
 Sideways force and torsion are those of a gel of usual stiffness times `shear.unit`, which
-`mixtac_fger.fger_net.with_gain` and `with_sideways_gain` change.
+`mixtac_fger.fger_net.with_gain` changes.
 
 Axes are those of the contact frame: x to the right and y upwards in the image, z from the contact
 into the gel (right-handed, REP-103). Forces act on the skin.
@@ -197,6 +197,7 @@ class ForcePath:
     Attributes:
         gains: How much normal force the events of this sensor stand for.
         known: Whether there was a frame since the start or `clear`.
+        pending: What the output has yet to follow; as `Shown.value`.
     """
 
     def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
@@ -212,7 +213,7 @@ class ForcePath:
         # of the latter, after each window.
         self._sums = np.zeros((config.history_windows, 3, axes))
         self._newest, self._then = 0, np.zeros((3, axes))
-        self._value, self._pending, self._windows = np.zeros(axes), np.zeros(axes), 0
+        self._value, self.pending, self._windows = np.zeros(axes), np.zeros(axes), 0
         units, shares = [1.0], [tensors['deviation']]
         if axes > 1:
             units += (tensors['shear.unit'] * NEWTONS).tolist()
@@ -220,8 +221,7 @@ class ForcePath:
         self._units, self._shares = np.array(units), np.array(shares, np.float64).T
         self.known = False
         self.gains = EventGains(self._unit)
-        feature, still = np.zeros(MOMENTS, np.float32), np.zeros((axes, *config.grid_shape, 2))
-        self._see(Shown(feature, self._value, still))
+        self._per_flow = np.zeros((axes, *config.grid_shape, 2))
 
     def measure(self, moments: F32) -> Shown:
         """Return what a frame shows.
@@ -244,26 +244,25 @@ class ForcePath:
 
     @property
     def value(self) -> F64:
-        """Present values, before what the output has yet to follow; as `Shown.value`."""
+        """Present values, which the output follows; as `Shown.value`."""
         return self._value + self.moved
 
-    @property
-    def output(self) -> F64:
-        """Values that follow frames over some windows; as `Shown.value`."""
-        return self.value - self._pending
+    def course(self) -> tuple[F64, F64]:
+        """Return `value`, and how far it has moved by events since the latest frame.
 
-    @property
-    def travelled(self) -> F64:
-        """Change of the normal force by events since the latest frame, and sizes of the others."""
-        sizes = self._sums[self._newest, 2] - self._then[2]
-        sizes[0] = self.moved[0]
-        return np.asarray(sizes)
+        The latter is the change of the normal force, and the sum of the sizes of the increments of
+        the others.
+        """
+        moved, travelled = self.moved, self._sums[self._newest, 2] - self._then[2]
+        travelled[0] = moved[0]
+        return self._value + moved, travelled
 
     def estimate(self) -> tuple[F64, F64]:
         """Return the output and its standard deviation after the latest window [N, N, N, Nm]."""
-        output, (floor, share, drift) = self.output, self._shares
-        parts = floor, share * output, drift * self.travelled, self._pending
-        return self._units * output, self._units * np.sqrt(sum(part**2 for part in parts))
+        value, travelled = self.course()
+        output, (floor, share, drift) = value - self.pending, self._shares
+        square = floor**2 + (share * output) ** 2 + (drift * travelled) ** 2 + self.pending**2
+        return self._units * output, self._units * np.sqrt(square)
 
     def change_sensor(self) -> None:
         """Forget the gains of the events."""
@@ -271,13 +270,10 @@ class ForcePath:
 
     def clear(self) -> None:
         """Reset all values and the memory; the gains of the events are kept."""
-        kept = self._state.context.copy()
-        for part in self._state:
-            part[:] = 0.0
-        self._state.context[:] = kept
+        self._state.hidden[:] = self._state.cell[:] = 0.0
         self.gains.forget_frame()
         self._sums[:] = self._then[:] = 0.0
-        self._value, self._pending, self._windows = 0.0 * self._value, 0.0 * self._pending, 0
+        self._value, self.pending, self._windows = 0.0 * self._value, 0.0 * self.pending, 0
         self.known = False
 
     def start_at(self, shown: Shown) -> None:
@@ -290,8 +286,7 @@ class ForcePath:
         self._value, self.known = shown.value, True
         still = np.zeros((*self._config.grid_shape, CELL_FEATURES), np.float32)
         for _ in range(SETTLE_WINDOWS):
-            self._state.force[0] = shown.value[0]
-            advance(still, self._weights, self._state)
+            advance(still, shown.value[0], self._weights, self._state)
 
     def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
         """Correct all values by a frame.
@@ -309,7 +304,7 @@ class ForcePath:
         if not self.known:
             # There was no sideways force before.
             change[1:] = 0.0
-        self._pending, self._windows, self.known = self._pending + change, windows, True
+        self.pending, self._windows, self.known = self.pending + change, windows, True
         self._see(shown)
 
     def _see(self, shown: Shown) -> None:
@@ -339,9 +334,9 @@ class ForcePath:
         before, self._newest = self._sums[self._newest], (self._newest + 1) % len(self._sums)
         after = self._sums[self._newest]
         # The network has learned with its own increments.
-        self._state.force[0] = self._value[0] + before[0, 0] - self._then[0, 0]
-        after[0, 0] = before[0, 0] + advance(features, self._weights, self._state)
+        force = self._value[0] + before[0, 0] - self._then[0, 0]
+        after[0, 0] = before[0, 0] + advance(features, force, self._weights, self._state)
         _add_flow(features, self._per_flow, before, after)
         if self._windows:
-            self._pending = self._pending - self._pending / self._windows
+            self.pending = self.pending - self.pending / self._windows
             self._windows -= 1

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recurrent network, compiled: it runs 500 times a second.
 
-Memory is fixed. The torch network of `mixtac_learning.network` is the reference that this is tested
+The torch network of `mixtac_learning.network` is the reference that this is tested
 against.
 """
 
@@ -39,28 +39,17 @@ class StepWeights(NamedTuple):
 
 
 class StepState(NamedTuple):
-    """State and scratch memory of the recurrent path, float32 unless noted.
+    """State of the recurrent path, float32.
 
     Attributes:
         hidden: LSTM output h.
         cell: LSTM cell C.
-        force: Estimate that the network reads [N], one element.
-        scaled: Scratch for the scaled event features.
-        event_hidden: Scratch.
-        event_output: Scratch.
-        gates: Scratch.
-        increment_hidden: Scratch.
-        context: Contribution of the latest frame to `increment_hidden`, bias included.
+        context: Contribution of the latest frame to the hidden layer of the increments, with its
+            bias.
     """
 
     hidden: F32
     cell: F32
-    force: F32
-    scaled: F32
-    event_hidden: F32
-    event_output: F32
-    gates: F32
-    increment_hidden: F32
     context: F32
 
 
@@ -91,12 +80,9 @@ def _layer(tensors: Tensors, name: str) -> tuple[F32, F32]:
 
 
 def step_state(weights: StepWeights) -> StepState:
-    """Return a state at zero with its scratch memory."""
-    hidden, output = weights.event_hidden.shape[1], weights.event_output.shape[1]
-    lstm, increment = weights.gates_hidden.shape[0], weights.increment_hidden.shape[1]
-    inputs = weights.event_hidden.shape[0]
-    sizes = (lstm, lstm, 1, inputs, hidden, output, 4 * lstm, increment, increment)
-    return StepState._make(np.zeros(size, np.float32) for size in sizes)
+    """Return a state at zero, and without a frame."""
+    hidden, cell = np.zeros((2, weights.gates_hidden.shape[0]), np.float32)
+    return StepState(hidden, cell, weights.increment_hidden_bias.copy())
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})
@@ -110,40 +96,29 @@ def _accumulate(inputs: F32, matrix: F32, out: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _relu(values: F32) -> None:
-    for index in range(values.shape[0]):
-        values[index] = max(values[index], np.float32(0.0))
-
-
-@njit(cache=True, nogil=True)
 def _sigmoid(value: np.float32) -> Any:  # noqa: ANN401
     return np.float32(1.0) / (np.float32(1.0) + np.exp(-value))
 
 
 @njit(cache=True, nogil=True)
-def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # noqa: ANN401
+def advance(features: F32, force: float, weights: StepWeights, state: StepState) -> Any:  # noqa: ANN401
     """Update hidden and cell by one window, and return the increment of the force [N].
 
     Args:
         features: Grid features, float32 [grid rows, grid columns, 4].
+        force: Estimate that the network reads [N].
         weights: Weights of the recurrent path.
         state: Changed in place.
     """
-    flat = features.reshape(-1)
-    kinds = weights.event_scale.shape[0]
-    for index in range(flat.shape[0]):
-        state.scaled[index] = flat[index] / weights.event_scale[index % kinds]
-    state.event_hidden[:] = weights.event_hidden_bias
-    _accumulate(state.scaled, weights.event_hidden, state.event_hidden)
-    _relu(state.event_hidden)
-    state.event_output[:] = weights.event_output_bias
-    _accumulate(state.event_hidden, weights.event_output, state.event_output)
-    _relu(state.event_output)
-    gates = state.gates
-    gates[:] = weights.gates_bias
-    _accumulate(state.event_output, weights.gates_event, gates)
-    for index in range(gates.shape[0]):
-        gates[index] += state.force[0] * weights.gates_force[index]
+    scaled = (features / weights.event_scale).reshape(-1)
+    events = weights.event_hidden_bias.copy()
+    _accumulate(scaled, weights.event_hidden, events)
+    output = weights.event_output_bias.copy()
+    _accumulate(np.maximum(events, np.float32(0.0)), weights.event_output, output)
+    output = np.maximum(output, np.float32(0.0))
+    gates = weights.gates_bias.copy()
+    _accumulate(output, weights.gates_event, gates)
+    gates += np.float32(force) * weights.gates_force
     _accumulate(state.hidden, weights.gates_hidden, gates)
     size = state.hidden.shape[0]
     for index in range(size):
@@ -151,11 +126,10 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> Any:  # no
         fresh, keep_out = np.tanh(gates[2 * size + index]), _sigmoid(gates[3 * size + index])
         state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
-    state.increment_hidden[:] = state.context
-    _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
-    _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
-    _relu(state.increment_hidden)
+    increment = state.context.copy()
+    _accumulate(state.hidden, weights.increment_hidden[:size], increment)
+    _accumulate(output, weights.increment_hidden[size:], increment)
     total = weights.increment_output_bias[0]
-    for index in range(state.increment_hidden.shape[0]):
-        total += state.increment_hidden[index] * weights.increment_output[index]
+    for index in range(increment.shape[0]):
+        total += max(increment[index], np.float32(0.0)) * weights.increment_output[index]
     return total

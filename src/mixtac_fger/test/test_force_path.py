@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +14,7 @@ from toy_sensor import displacement, estimates, random_model
 from mixtac_fger.config import MOMENTS, FgerConfig, ModelError
 from mixtac_fger.estimator import Estimate, fill_quality
 from mixtac_fger.features import bin_cells
-from mixtac_fger.fger_net import with_gain, with_sideways_gain
+from mixtac_fger.fger_net import with_gain
 from mixtac_fger.force_path import ForcePath, Shear
 from mixtac_fger.moments import PER_EVENT, moments
 from mixtac_fger.weights import Model, ModelCard, read_model, save_model
@@ -109,21 +109,22 @@ def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is(pat
     path.correct(measured(path, load()), 0)
     nothing = np.zeros((CONFIG.grid_rows, CONFIG.grid_columns, 4), np.float32)
     path.step(nothing)
-    start = path.output
+    start = path.estimate()[0]
     shown = measured(path, load(pull=(0.5, 0.0)))
     path.correct(shown, 0, 10)
-    assert path.output == pytest.approx(start)
-    way = (shown.value - start)[1]
+    assert path.estimate()[0] == pytest.approx(start)
+    way = 2.0 * shown.value[1] - start[1]
     for left in range(9, -1, -1):
-        before = path.output
+        before = path.estimate()[0]
         path.step(nothing)
-        assert (path.output - before)[1] == pytest.approx(0.1 * way)
-        assert path.estimate()[1][1] > 2.0 * abs(0.1 * left * way)
+        output, deviation = path.estimate()
+        assert (output - before)[1] == pytest.approx(0.1 * way)
+        assert deviation[1] > abs(0.1 * left * way)
 
 
 def test_the_normal_force_is_the_same_with_and_without_the_others(headed, trial):
     kept = {name: each for name, each in headed.tensors.items() if not name.startswith('shear')}
-    bare = replace(headed, config=FgerConfig().to_dict(), tensors=kept)
+    bare = replace(headed, config=asdict(FgerConfig()), tensors=kept)
     with_head, without = estimates(headed, trial), estimates(bare, trial)
     force, alone = (np.array([each[:3] for each in both]) for both in (with_head, without))
     np.testing.assert_allclose(force, alone, rtol=1e-9)
@@ -135,21 +136,20 @@ def test_gains_of_weights_and_of_parameters_multiply_what_they_name(headed, tria
     plain = np.array([each.shear for each in estimates(headed, trial)])
     assert np.abs(plain[:, :3]).max(axis=0).min() > 1e-8
     for found in (
-        estimates(with_sideways_gain(with_gain(headed, 1.5), 2.0), trial),
+        estimates(with_gain(headed, 1.5, 2.0), trial),
         estimates(headed, trial, force_scale=1.5, sideways_scale=2.0),
     ):
         np.testing.assert_allclose([e.shear for e in found], 3.0 * plain, rtol=2e-3)
 
 
-def test_impossible_gains_and_other_models_are_refused(headed, model):
+def test_impossible_gains_and_other_models_are_refused(model):
     other = Model('another', 1, model.config, model.card, model.tensors)
     for gain in (0.0, float('nan'), float('inf')):
-        for fold in (with_gain, with_sideways_gain):
+        for gains in ((gain, 1.0), (1.0, gain)):
             with pytest.raises(ModelError):
-                fold(headed, gain)
-    for fold, wrong in ((with_sideways_gain, model), (with_gain, other)):
-        with pytest.raises(ModelError):
-            fold(wrong, 2.0)
+                with_gain(model, *gains)
+    with pytest.raises(ModelError):
+        with_gain(other, 2.0)
 
 
 def test_quality_says_which_axes_are_known():

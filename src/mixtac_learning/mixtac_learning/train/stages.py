@@ -214,9 +214,8 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
         sequences: Trials.
 
     Returns:
-        Normal force, before what the output has yet to follow, and, where the network has them,
-        the output of the others, `ForcePath.output`; and `ForcePath.travelled`; after each window,
-        [T, B, 2, 1 or 4] in N and N mm.
+        `ForcePath.course` after each window, of sideways force and torsion less what the output has
+        yet to follow, [T, B, 2, 1 or 4] in N and N mm.
     """
     config, tensors = network.config, arrays_of(network)
     events, moments, frame, lags = (
@@ -230,8 +229,8 @@ def live_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
             if row >= 0:
                 path.correct(path.measure(moments[row]), int(lags[window, trial]), SPREAD_WINDOWS)
             path.step(events[window, trial].astype(np.float32))
-            found[window, trial] = path.output, path.travelled
-            found[window, trial, 0, 0] = path.value[0]
+            found[window, trial] = path.course()
+            found[window, trial, 0, 1:] -= path.pending[1:]
     return torch.from_numpy(found)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -297,5 +297,5 @@ UNSEEN_BY_SAMPLES = {
 
 def fger_recipe(config: FgerConfig) -> Recipe:
     """Return the recipe of the samples of FGER-Net."""
-    kept = {name: v for name, v in config.to_dict().items() if name not in UNSEEN_BY_SAMPLES}
+    kept = {name: v for name, v in asdict(config).items() if name not in UNSEEN_BY_SAMPLES}
     return Recipe('fger', config, make_sample, {'kind': 'fger 10'} | kept)

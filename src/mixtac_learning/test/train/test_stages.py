@@ -38,7 +38,7 @@ def test_training_learns_the_toy_sensor(config, toy_groups, toy_sequences, toy_s
         truth, valid = sequences.force, sequences.valid
         constant = (truth[valid] - truth[valid].median()).abs().mean()
         shown = torch.from_numpy(np.concatenate([each.frame_force for each in samples]))
-        frames = network.frame(features_of(network, sequences))
+        frames = network.frame_force(features_of(network, sequences))
         assert (frames - shown).abs().mean() < 0.5 * constant
         assert (estimate(network, sequences) - truth)[valid].abs().mean() < 0.6 * constant
 
