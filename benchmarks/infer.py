@@ -24,6 +24,7 @@ from mixtac_core.events.codec import decode_message, encode
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_core.node.files import write_json
 from mixtac_core.recordings.dataset import TrialSpec
+from mixtac_fger.config import count_parameters, operations_per_cycle
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.fger_net import FgerEstimator
@@ -261,8 +262,8 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
     return alone | {
         'contact': touched,
         'validity_share': validity_share(model, scene),
-        'flops_per_cycle': estimator.operations,
-        'parameters': estimator.parameters,
+        'flops_per_cycle': operations_per_cycle(estimator.config),
+        'parameters': count_parameters(estimator.config),
         'events_per_s': scene.events / seconds,
     }
 

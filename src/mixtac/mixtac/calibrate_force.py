@@ -23,12 +23,7 @@ from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CALIBRATED_KEY, SERIAL_KEY
-from mixtac_fger.fger_net import (
-    CALIBRATED_DEVIATION,
-    checked_config,
-    with_gain,
-    with_sideways_gain,
-)
+from mixtac_fger.fger_net import CALIBRATED_DEVIATION, checked_config, with_gain
 from mixtac_fger.force_calibration import (
     PULL,
     ForceCalibration,
@@ -229,9 +224,7 @@ def calibrate(console: Console, content: Model, session: Session, entry: dict[st
     normal = fit_gain(session.loads, session.plateaus)
     entry |= _entry(normal)
     _report(console, 'Known loads', entry)
-    # The gain is known from now on, so the deviations shrink, once.
-    once = CALIBRATED_KEY not in content.card.training
-    scaled = with_gain(content, normal.gain, CALIBRATED_DEVIATION if once else 1.0)
+    sideways = 1.0
     if session.pulls:
         pulled = fit_gain(session.pull_loads, session.pulls, PULL)
         gain, gain_sd = sideways_gain(pulled, normal.gain)
@@ -244,7 +237,11 @@ def calibrate(console: Console, content: Model, session: Session, entry: dict[st
         beside = {'pulled_gain': pulled.gain, 'pulled_gain_sd': pulled.gain_sd}
         beside |= {'gain': gain, 'gain_sd': gain_sd}
         entry['sideways'] = aside | {k: round(v / normal.gain, 5) for k, v in beside.items()}
-        scaled = with_sideways_gain(scaled, gain / normal.gain)
+        sideways = gain / normal.gain
+    # The gain is known from now on, so the deviations shrink, once.
+    once = CALIBRATED_KEY not in content.card.training
+    deviation = CALIBRATED_DEVIATION if once else 1.0
+    scaled = with_gain(content, normal.gain, sideways, deviation)
     training = content.card.training | {CALIBRATED_KEY: entry}
     if session.serial:
         training[SERIAL_KEY] = session.serial

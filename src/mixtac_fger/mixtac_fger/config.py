@@ -40,12 +40,6 @@ def from_mapping(cls: type[T], values: object, where: str) -> T:
         raise ConfigError(error.message, remedy=error.remedy) from error
 
 
-def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return the fields of a configuration as JSON-ready values."""
-    fields = dataclasses.asdict(config)
-    return {name: list(v) if isinstance(v, tuple) else v for name, v in fields.items()}
-
-
 ARCHITECTURE = 'fger_small'
 VERSION = 7
 CELL_FEATURES = 4
@@ -99,7 +93,7 @@ class FgerConfig:
         history_windows: How many windows the centre of an exposure may lie back.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
-        shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.shear`).
+        shear: Whether sideways force and torsion are estimated as well (`mixtac_fger.force_path`).
     """
 
     width: int = 346
@@ -166,13 +160,9 @@ class FgerConfig:
         """Numbers that the event encoder reads per window."""
         return self.grid_columns * self.grid_rows * CELL_FEATURES
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return to_mapping(self)
-
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> FgerConfig:
-        """Return the configuration of `to_dict`.
+        """Return the configuration of all its fields.
 
         Raises:
             ConfigError: A field is unknown, missing or impossible.

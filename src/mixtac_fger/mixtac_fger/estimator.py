@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from mixtac_fger.contact import Touch
     from mixtac_fger.contact_tracking import Contact
     from mixtac_fger.displacement import SkinScale
+    from mixtac_fger.force_path import Shear
     from mixtac_fger.reference import Reference
-    from mixtac_fger.shear import Shear
     from mixtac_fger.validity import PictureFigures
     from mixtac_fger.weights import Model, ModelCard
 
@@ -79,6 +79,7 @@ class Estimator(ABC):
         finds_contact: Whether encoded frames can have a `touch`.
         force_unit: Force that one newton in the training stands for [N]; not 1 after a calibration.
         reference: The no-contact reference; None if the architecture needs none.
+        shear: Sideways force and torsion after the latest window; None where they are unknown.
     """
 
     width: int
@@ -88,6 +89,7 @@ class Estimator(ABC):
     finds_contact: bool = False
     force_unit: float = 1.0
     reference: Reference | None = None
+    shear: Shear | None = None
 
     @abstractmethod
     def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
@@ -128,11 +130,6 @@ class Estimator(ABC):
     @abstractmethod
     def clear(self) -> None:
         """Reset the recurrent state, including the force. The latest frame is kept."""
-
-    @property
-    def shear(self) -> Shear | None:
-        """Sideways force and torsion after the latest window; None where they are unknown."""
-        return None
 
     @property
     def growth(self) -> float:

@@ -1,31 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""The estimator of FGER-Net, small version: compiled, without torch.
+"""The estimator of FGER-Net, small version: compiled, without torch.
 
 A frame measures the force absolutely, at the centre of its exposure (`mixtac_fger.moments`); events
-measure its change since then (`mixtac_fger.recurrent_network`):
-
-.. math:: F_t = F_{frame} + g_A A_t + g_B B_t
-
-When a frame has been evaluated, 25 times a second, F is corrected at once. A controller must not
-see these steps, which are not steps of the real force. The output therefore follows a correction c
-over the next :math:`N` windows, by an equal share in each:
-
-.. math:: f_t = F_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
-
-where the pending part p grows by c and n starts over when a frame corrects. The standard deviation
-of the output has four parts: a floor b, a share s of the force, a share h of what events have added
-since the latest frame, and the pending part:
-
-.. math:: \sigma^2 = b^2 + (s f)^2 + h^2 (g_A A + g_B B)^2 + p^2
-
-A frame that was exposed during a blow averages different forces, and is not used for a correction.
+measure its change since then (`mixtac_fger.force_path`). A frame that was exposed during a blow
+averages different forces, and is not used for a correction.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,22 +18,17 @@ import numpy as np
 
 from mixtac_fger.config import (
     ARCHITECTURE,
-    PRESSES,
     VERSION,
     ConfigError,
     FgerConfig,
     ModelError,
-    count_parameters,
-    operations_per_cycle,
     tensor_shapes,
 )
 from mixtac_fger.contact import TouchMeter
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
-from mixtac_fger.moments import FlowMoments
-from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.force_path import ForcePath, Shear, Shown
 from mixtac_fger.reference import Reference
-from mixtac_fger.shear import Shear, ShearHead, Shown
 from mixtac_fger.weights import MODEL_REMEDY
 
 if TYPE_CHECKING:
@@ -71,15 +50,10 @@ but never two frames in a row."""
 
 
 class _Content(NamedTuple):
-    """What is needed of a frame: moments over their spread, how events are read by it, and shear.
+    """What is needed of a frame: what it shows, and how events are read by it."""
 
-    `press` is as in `RecurrentPath.see`.
-    """
-
-    feature: NDArray[np.float32]
+    shown: Shown
     guide: EventGuide
-    press: NDArray[np.float64]
-    shear: Shown | None
 
 
 def checked_config(model: Model) -> FgerConfig:
@@ -122,55 +96,35 @@ The deviations of a model for unknown sensors include their unknown stiffness.
 """
 
 
-def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
+def with_gain(model: Model, gain: float, sideways: float = 1.0, deviation: float = 1.0) -> Model:
     """Return an FGER-Net model whose forces are `gain` times those of `model`, deviations as well.
 
-    The relative deviations of the sideways force stay: its gain is not known better by presses.
-
     Everything that makes a force is multiplied, everything that reads one is divided, so that the
-    recurrent state runs through the same values as before.
+    recurrent state runs through the same values as before. The relative deviations of the sideways
+    force stay: its gain is not known better by presses.
 
     Args:
         model: Not changed.
         gain: Above 0.
+        sideways: Further gain of sideways force and torsion, above 0; without effect where the
+            model gives none.
         deviation: Factor of the share of the normal force in its deviation.
 
     Raises:
-        ModelError: The gain is no such number, or as `checked_config`.
+        ModelError: A gain is no such number, or as `checked_config`.
     """
-    unit = gain * _checked(model, gain).force_unit
+    for each in (gain, sideways):
+        if not 0.0 < each < float('inf'):
+            raise ModelError(f'a gain of {each} is impossible', remedy='check the known forces')
+    unit = gain * checked_config(model).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
     for name in ('frame.press', 'increment.2.weight', 'increment.2.bias'):
         tensors[name] *= np.float32(gain)
     tensors['gates_force.weight'] /= np.float32(gain)
-    tensors['deviation'][0] *= np.float32(gain)
-    tensors['deviation'][1] *= np.float32(deviation)
+    tensors['deviation'][:2] *= np.array([gain, deviation], np.float32)
     if 'shear.unit' in tensors:
-        tensors['shear.unit'] *= np.float32(gain)
+        tensors['shear.unit'] *= np.float32(gain) * np.float32(sideways)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
-
-
-def with_sideways_gain(model: Model, gain: float) -> Model:
-    """Return an FGER-Net model whose sideways forces and torsion are `gain` times those of `model`.
-
-    Args:
-        model: Not changed.
-        gain: Above 0.
-
-    Raises:
-        ModelError: The gain is no such number, the model has no sideways force, or as
-            `checked_config`.
-    """
-    if not _checked(model, gain).shear:
-        raise ModelError('the model gives no sideways force', remedy=MODEL_REMEDY)
-    unit = model.tensors['shear.unit'] * np.float32(gain)
-    return replace(model, tensors={**model.tensors, 'shear.unit': unit})
-
-
-def _checked(model: Model, gain: float) -> FgerConfig:
-    if not 0.0 < gain < float('inf'):
-        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
-    return checked_config(model)
 
 
 class FgerEstimator(Estimator):
@@ -181,9 +135,7 @@ class FgerEstimator(Estimator):
 
     Attributes:
         config: Network configuration.
-        parameters: Number of trained parameters.
-        operations: Floating-point operations per frame interval of 40 ms (2 per multiply-add).
-        path: The recurrent network, and the gains of the events.
+        path: The forces between frames, and the gains of the events.
 
     Raises:
         ModelError: As `checked_config`.
@@ -196,23 +148,16 @@ class FgerEstimator(Estimator):
         self.config = config = checked_config(model)
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
         self.force_unit = config.force_unit
-        self._deviation = model.tensors['deviation'].tolist()
-        self.gives_deviation = any(self._deviation)
-        self.parameters, self.operations = count_parameters(config), operations_per_cycle(config)
+        self.gives_deviation = bool(model.tensors['deviation'].any())
         self.reference = Reference(config)
-        tensors = model.tensors
-        self._spread, self._press = (np.array(tensors[f'frame.{n}']) for n in ('spread', 'press'))
         self._preparation = FramePreparation(config)
         self._encoding = threading.Lock()
-        self.path = RecurrentPath(config, model.tensors)
+        self.path = ForcePath(config, model.tensors)
         self._window_features = WindowFeatures(config)
         self._features, self._no_events = np.zeros((2, *self._window_features.shape), np.float32)
         self._guide: EventGuide | None = None
-        self._pending_n, self._pending_windows = 0.0, 0
         self._passed = False
-        self._flow_moments = FlowMoments(config, self._spread)
         self._touch: TouchMeter | None = None
-        self._shear = ShearHead(config, model.tensors) if config.shear else None
 
     @property
     def flow(self) -> NDArray[np.float32]:
@@ -228,11 +173,6 @@ class FgerEstimator(Estimator):
         """Measure displacement and contact of frames from now on; None ends it."""
         self._touch = None if scale is None else TouchMeter(self.config, scale)
 
-    @property
-    def shear(self) -> Shear | None:
-        """Sideways force and torsion after the latest window; None where they are unknown."""
-        return None if self._shear is None else self._shear.value
-
     def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
         """Compare a frame with the reference; the number of its bits does not matter.
 
@@ -245,21 +185,17 @@ class FgerEstimator(Estimator):
             if found is None:
                 return None
             reference, number = found
-            moments = self._preparation.compare(contrast, reference)
-            feature = np.asarray(moments / self._spread, np.float32)
-            force = self._press @ feature[:PRESSES]
-            picture, guide = self._preparation.picture(), self._preparation.guide(contrast)
-            per_flow = self._flow_moments.per_flow(feature)
-            press = np.tensordot(self._press, per_flow[:PRESSES], 1)
-            shear = None if self._shear is None else self._shear.measure(feature, per_flow)
-            content = _Content(feature, guide, press, shear)
+            shown = self.path.measure(self._preparation.compare(contrast, reference))
+            picture = self._preparation.picture()
+            content = _Content(shown, self._preparation.guide(contrast))
             coarse = contrast.coarse
             touch, meter = None, self._touch
             if meter is not None:
                 # A contact that cannot be found costs no force.
                 with contextlib.suppress(np.linalg.LinAlgError):
                     touch = meter.measure(self._preparation.grown, coarse)
-            return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
+            force = float(shown.value[0])
+            return EncodedFrame(mid_us, force, number, content, coarse, picture, touch)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""
@@ -268,26 +204,14 @@ class FgerEstimator(Estimator):
         if self._passed:
             self.path.gains.forget_frame()
             return
-        self._pending_n += self.path.correct(frame.force, lag)
-        self._pending_windows = SPREAD_WINDOWS
-        self._see(frame.content)
-        if self._shear is not None:
-            self._shear.correct(frame.content.shear, lag, SPREAD_WINDOWS)
-
-    def _see(self, content: _Content) -> None:
-        """Let events be read by a frame from now on."""
-        self._guide = content.guide
-        self.path.see(content.feature, content.press)
+        self.path.correct(frame.content.shown, lag, SPREAD_WINDOWS)
+        self._guide = frame.content.guide
 
     def start_at(self, frame: EncodedFrame) -> None:
-        """Start over at the frames-only force."""
-        self._pending_n = 0.0
+        """Start over at what the frame shows."""
         # A start at zero would take several frames to recover from, if in contact.
-        self._see(frame.content)
-        self.path.start_at(frame.force)
-        if self._shear is not None:
-            self._shear.clear()
-            self._shear.correct(frame.content.shear, 0)
+        self.path.start_at(frame.content.shown)
+        self._guide = frame.content.guide
 
     def change_sensor(self) -> None:
         """Forget what was learned of the sensor."""
@@ -299,21 +223,11 @@ class FgerEstimator(Estimator):
         light = self._window_features.compute(events, self._guide, self._features)
         features = self._no_events if light else self._features
         self.path.step(features)
-        if self._shear is not None:
-            self._shear.step(features)
-        if self._pending_n:
-            self._pending_n -= self._pending_n / self._pending_windows
-            self._pending_windows -= 1
-        moved = self.path.moved
-        force = self.path.shown + moved - self._pending_n
-        if not self.gives_deviation:
-            return force, None
-        floor, share, drift = self._deviation
-        return force, math.hypot(floor, share * force, drift * moved, self._pending_n)
+        (force, *across), (deviation, *spread) = (each.tolist() for each in self.path.estimate())
+        known = across and self.path.known
+        self.shear = Shear._make([*across, max(spread[:2]), spread[2]]) if known else None
+        return force, deviation if self.gives_deviation else None
 
     def clear(self) -> None:
         """Forget the recurrent state."""
-        self._pending_n = 0.0
         self.path.clear()
-        if self._shear is not None:
-            self._shear.clear()

@@ -259,11 +259,6 @@ class Plateau:
         """Size of the change [N]; negative where a weight lowers the estimate."""
         return abs(self.seen_n) if isinstance(self.seen_n, complex) else float(self.seen_n)
 
-    @property
-    def left_n(self) -> float:
-        """Size of the change that stays after the load [N]."""
-        return abs(self.rests[-1].mean_n - self.rests[0].mean_n)
-
 
 def plateau_of(span: Stretch, before: Stretch, after: Stretch | None, kind: Kind) -> Plateau:
     """Return the plateau of a load, measured from the zero before and after it.

@@ -33,16 +33,13 @@ The contact frame gives the axes: x to the right and y upwards in the image.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_fger.config import MOMENTS, PRESSES, TURNING_WIDTHS
-
-if TYPE_CHECKING:
-    from mixtac_fger.config import FgerConfig
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -175,35 +172,6 @@ def moments_of_cells(contact: tuple[float, float, float], shape: tuple[int, int]
 
 PER_EVENT: Final = 0.4
 """Displacement in frames over displacement per contrast threshold from events."""
-
-
-class FlowMoments:
-    """What the flow of events adds to the moments of the latest frame; memory is fixed.
-
-    Args:
-        config: Network configuration.
-        spread: Of each moment, float32 [14].
-    """
-
-    def __init__(self, config: FgerConfig, spread: F32) -> None:
-        self._shape = config.frame_shape
-        self._spread = np.array(spread, np.float64)
-        self._cells = np.empty((MOMENTS, *config.grid_shape, 2))
-        # Of a displacement in bins.
-        self._scale = (PER_EVENT / config.frame_bin / self._spread)[:, None, None, None]
-
-    def per_flow(self, feature: F32) -> F64:
-        """Return the change of the moments by a flow of one pixel per contrast threshold.
-
-        Args:
-            feature: Moments of the frame over their spread, float32 [14].
-
-        Returns:
-            Change over the spread, by x and y in each cell, [14, grid rows, grid columns, 2].
-        """
-        contact = contact_of(feature * self._spread, self._shape)
-        moments_of_cells(contact, self._shape, self._cells)
-        return self._scale * self._cells
 
 
 @njit(cache=True, nogil=True)

@@ -25,7 +25,6 @@ import math
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
-from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -56,14 +55,6 @@ JUMP_US: Final = 1_000_000
 """A larger step forward is a hole even if no packet was lost: no camera is silent so long [us]."""
 
 
-class Arrival(Enum):
-    """How a packet relates to the one before."""
-
-    CONTINUES = 'continues'
-    AFTER_HOLE = 'after a hole'
-    STARTS = 'starts a stream, or follows a long hole or a restart of the clock'
-
-
 class StreamTime:
     """Follows the time of a stream and remembers the latest stretch that no packet covered.
 
@@ -77,28 +68,30 @@ class StreamTime:
         self.restarts = 0
         self._hole_us = (0, 0)
 
-    def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
-        """Add the times of a packet and return how it relates to the one before.
+    def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> bool:
+        """Add the times of a packet.
 
         Args:
             first_us: Its first event, or `complete_until_us` without one.
             complete_until_us: No event before this time will follow.
             lost_before: Packets directly before it are missing.
+
+        Returns:
+            Whether it starts a stream, or follows a long hole or a restart of the clock.
         """
         newest = self.newest_us
-        if newest is None:
-            return self._start(first_us, complete_until_us)
-        if complete_until_us < newest - BACKWARD_US:
-            self.restarts += 1
-            return self._start(first_us, complete_until_us)
+        restarted = newest is not None and complete_until_us < newest - BACKWARD_US
+        self.restarts += restarted
+        step = 0 if newest is None else first_us - newest
+        hole = step > 0 and (lost_before or step > JUMP_US)
+        if newest is None or restarted or (hole and step > LONG_HOLE_US):
+            # Nothing is known about the time before the first event.
+            self.newest_us, self._hole_us = complete_until_us, (first_us - JUMP_US, first_us)
+            return True
         self.newest_us = max(newest, complete_until_us)
-        step = first_us - newest
-        if step <= 0 or not (lost_before or step > JUMP_US):
-            return Arrival.CONTINUES
-        if step > LONG_HOLE_US:
-            return self._start(first_us, complete_until_us)
-        self._hole_us = newest, first_us
-        return Arrival.AFTER_HOLE
+        if hole:
+            self._hole_us = newest, first_us
+        return False
 
     def covered(self, end_us: int, width_us: int) -> tuple[bool, bool]:
         """Return whether packets covered any part of a window, and whether they covered all of it.
@@ -110,12 +103,6 @@ class StreamTime:
         begin, end = self._hole_us
         missing = min(end_us, end) - max(end_us - width_us, begin)
         return missing < width_us, missing <= 0
-
-    def _start(self, first_us: int, complete_until_us: int) -> Arrival:
-        self.newest_us = complete_until_us
-        # Nothing is known about the time before the first event.
-        self._hole_us = (first_us - JUMP_US, first_us)
-        return Arrival.STARTS
 
 
 TARE_WINDOWS = 100
@@ -283,8 +270,7 @@ class ForceEstimator:
         first_us = int(events.t[0]) if len(events) else complete_until_us
         known = self._time.newest_us is not None
         restarts = self._time.restarts
-        arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
-        if arrival is Arrival.STARTS and known:
+        if self._time.push(first_us, complete_until_us, lost_before=lost_before) and known:
             self._fetch()
             waiting = list(self._encoded)
             self._forget()
@@ -453,14 +439,10 @@ class ForceEstimator:
             self._count.frames_dropped += len(self._encoded) == WAITING_FRAMES
             self._encoded.append(frame)
 
-    @property
-    def _most_ahead_us(self) -> int:
-        """Return by how much a frame on the clock of the events may be ahead of them [us]."""
-        return FRAME_AHEAD_US + self.events_late_us
-
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
-        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= self._most_ahead_us:
+        ahead_us = FRAME_AHEAD_US + self.events_late_us
+        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= ahead_us:
             # Its events are there, or never will be.
             self._apply(self._encoded.popleft(), end_us)
 
@@ -483,7 +465,7 @@ class ForceEstimator:
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
         behind_us = end_us - frame.mid_us
-        if not -self._most_ahead_us <= behind_us <= FRAME_BEHIND_US:
+        if not -FRAME_AHEAD_US - self.events_late_us <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
         reference = self.reference

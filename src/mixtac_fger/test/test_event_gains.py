@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 from toy_sensor import random_model
 
 from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
-from mixtac_fger.recurrent_network import BLOW_N, EventGains, RecurrentPath
+from mixtac_fger.force_path import BLOW_N, EventGains, ForcePath, Shown
 
 CONFIG = FgerConfig()
 BURST = np.ones((*CONFIG.grid_shape, CELL_FEATURES), np.float32)
-STILL = np.zeros((*CONFIG.grid_shape, 2))
+STILL = np.zeros((1, *CONFIG.grid_shape, 2))
+
+
+def shown(force: float, press: np.ndarray = STILL) -> Shown:
+    """Return what a frame without moments shows."""
+    return Shown(np.zeros(MOMENTS, np.float32), np.array([force]), press)
 
 
 def gains_after(changes, added, unit: float = 1.0) -> np.ndarray:
@@ -87,18 +92,18 @@ def test_frames_before_a_hole_are_not_compared_with_those_behind_it():
     assert (gains.value > EventGains.PRIOR).all()
 
 
-def moving_path(unit: float, forces: list[float]) -> RecurrentPath:
+def moving_path(unit: float, forces: list[float]) -> ForcePath:
     """Return a path whose increments were these [unit]: no memory, and events as large."""
     config = FgerConfig(force_unit=unit)
     tensors = random_model(config).tensors
     tensors['increment.0.weight'][:, : config.lstm_size] = 0.0
     for layer in ('event.hidden', 'event.output', 'increment.0'):
         tensors[f'{layer}.bias'][:] = 0.0
-    once = RecurrentPath(config, tensors)
+    once = ForcePath(config, tensors)
     once.step(BURST)
-    scale = np.float32(unit * EventGains.PRIOR[0] / once.force)
+    scale = np.float32(unit * EventGains.PRIOR[0] / once.value[0])
     weights = {**tensors, 'increment.2.weight': scale * tensors['increment.2.weight']}
-    path = RecurrentPath(config, weights)
+    path = ForcePath(config, weights)
     for force in forces:
         path.step(np.float32(force) * BURST)
     return path
@@ -111,37 +116,34 @@ def test_a_blow_is_found_around_its_windows_and_a_motion_is_none(unit):
     assert [lag for lag in range(40) if path.blow(lag, half)] == list(range(17, 24))
     assert not path.blow(500, half)
     path = moving_path(unit, [*quiet, *[0.05 * BLOW_N] * 20])
-    assert path.force == pytest.approx(unit * BLOW_N * EventGains.PRIOR[0], rel=1e-3)
+    assert path.value[0] == pytest.approx(unit * BLOW_N * EventGains.PRIOR[0], rel=1e-3)
     assert not any(path.blow(lag, half) for lag in range(40))
 
 
 def test_the_force_is_that_of_the_frame_and_what_both_ways_have_added_since():
     path = moving_path(1.0, [0.02] * 30)
     press = np.full_like(STILL, 0.03 / BURST[..., :2].size)
-    path.see(np.zeros(MOMENTS, np.float32), press)
+    path.correct(shown(path.value[0], press), 0)
     for _ in range(10):
         path.step(BURST)
-    before = path.force
-    assert path.correct(0.4, 4) == pytest.approx(path.force - before)
+    path.correct(shown(0.4, press), 4)
     added = 4.0 * (np.array([1.0, 0.03]) @ path.gains.value)
-    assert path.moved == pytest.approx(added, rel=1e-3)
-    assert path.force == pytest.approx(0.4 + added, rel=1e-3)
-    path.correct(0.7, 0)
-    assert (path.force, path.moved) == (0.7, 0.0)
+    assert path.moved[0] == pytest.approx(added, rel=1e-3)
+    assert path.value[0] == pytest.approx(0.4 + added, rel=1e-3)
+    path.correct(shown(0.7), 0)
+    assert (path.value[0], path.moved[0]) == (0.7, 0.0)
 
 
 def test_the_gains_outlive_a_restart_of_the_state():
     path = moving_path(1.0, [])
-    shown = 0.0
-    for _ in range(40):
+    for count in range(1, 41):
         path.step(np.float32(0.1) * BURST)
         # Frames that show more than the events do, again and again.
-        shown += 0.2
-        path.correct(shown, 0)
+        path.correct(shown(0.2 * count), 0)
     learned = path.gains.value
     assert learned[0] > EventGains.PRIOR[0]
-    path.start_at(0.3)
-    assert path.force == 0.3
+    path.start_at(shown(0.3))
+    assert path.value[0] == 0.3
     assert (path.gains.value == learned).all()
     path.change_sensor()
     assert tuple(path.gains.value) == EventGains.PRIOR

@@ -5,14 +5,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 from toy_sensor import random_model
 
-from mixtac_fger.config import ConfigError, FgerConfig, ModelError, tensor_shapes
+from mixtac_fger.config import (
+    ConfigError,
+    FgerConfig,
+    ModelError,
+    count_parameters,
+    tensor_shapes,
+)
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.weights import ModelCard, find_model, read_model, shipped_models, write_model
 
@@ -61,9 +67,9 @@ def test_what_was_saved_is_loaded(saved):
 
 def test_the_shipped_model_has_the_shapes_of_its_configuration():
     model = read_model(find_model('fger_small'))
-    shapes = {name: tensor.shape for name, tensor in model.tensors.items()}
-    assert shapes == tensor_shapes(FgerConfig.from_dict(model.config))
-    assert open_estimator(model).parameters == 29_658
+    config = FgerConfig.from_dict(model.config)
+    assert {name: each.shape for name, each in model.tensors.items()} == tensor_shapes(config)
+    assert count_parameters(config) == 29_658
 
 
 def test_files_that_are_no_models_are_named(tmp_path):
@@ -141,7 +147,7 @@ def test_impossible_configurations_are_refused(field, value):
 
 def test_configurations_survive_json():
     config = FgerConfig(shear=True, lstm_size=7)
-    assert FgerConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    assert FgerConfig.from_dict(json.loads(json.dumps(asdict(config)))) == config
 
 
 def test_models_are_found_by_name_and_by_path(tmp_path, monkeypatch):

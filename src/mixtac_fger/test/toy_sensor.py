@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
@@ -115,7 +116,7 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
     tensors['increment.0.weight'][:, config.lstm_size :] *= 0.02
     tensors['increment.2.weight'] *= 0.04
     tensors['increment.2.bias'][:] = 0.0
-    return Model(ARCHITECTURE, VERSION, config.to_dict(), ModelCard(), tensors)
+    return Model(ARCHITECTURE, VERSION, asdict(config), ModelCard(), tensors)
 
 
 def estimates(model: Model, trial: ToyTrial, **options: object) -> list[Estimate]:

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import asdict
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -74,58 +75,21 @@ class FrameSlots(NamedTuple):
         return torch.where(self.frame >= 0, number, 0).cummax(dim=0).values
 
 
-class Course(NamedTuple):
-    """Result of a stretch of T windows of B sequences.
+class Constants(nn.Module):
+    """Tensors by name that are fitted, not trained by gradients.
 
-    Attributes:
-        force: Force at the end of each window [N], [T, B].
-        state: State after the last window.
+    Args:
+        values: The tensors, as they are before the fit.
     """
 
-    force: Tensor
-    state: SequenceState
-
-
-class FrameForces(nn.Module):
-    """Constants of the forces that a frame shows; they are fitted, not trained by gradients.
-
-    Attributes:
-        spread: Of each moment, [14]; features of a frame are its moments over these.
-        press: Normal force per D, D r^2 and D r^4 over their spread [N], [3].
-    """
-
-    def __init__(self) -> None:
+    def __init__(self, **values: Tensor) -> None:
         super().__init__()
-        self.spread: Tensor
-        self.register_buffer('spread', torch.ones(MOMENTS))
-        self.press: Tensor
-        self.register_buffer('press', torch.zeros(PRESSES))
+        for name, value in values.items():
+            self.register_buffer(name, value)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Return the normal force of frames [N], [...], by their features [..., 14]."""
-        return torch.Tensor(features[..., :PRESSES] @ self.press)
-
-
-class AcrossForces(nn.Module):
-    """Constants of the sideways force and the torsion (`mixtac_fger.shear`); they are fitted.
-
-    Attributes:
-        pull: Sideways force per S and L over their spread [N], [2].
-        turning: Torsion per moment of turning over its spread [N mm], [4].
-        unit: Factor of each axis.
-        deviation: Floor, share of the value and share of the increments, by axis.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.pull: Tensor
-        self.register_buffer('pull', torch.zeros(2))
-        self.turning: Tensor
-        self.register_buffer('turning', torch.zeros(len(TURNING_WIDTHS)))
-        self.unit: Tensor
-        self.register_buffer('unit', torch.ones(3))
-        self.deviation: Tensor
-        self.register_buffer('deviation', torch.zeros(3, 3))
+    def __getattr__(self, name: str) -> Tensor:
+        """Return a tensor."""
+        return cast('Tensor', super().__getattr__(name))
 
 
 class EventNetwork(nn.Module):
@@ -153,12 +117,20 @@ class FgerNetwork(nn.Module):
 
     Args:
         config: Network configuration.
+
+    Attributes:
+        frame: Of the normal force of a frame. `spread` of each moment, [14]: features of a frame
+            are its moments over these. `press`: per D, D r^2 and D r^4 over their spread [N], [3].
+        shear: Of sideways force and torsion (`mixtac_fger.force_path`). `pull`: per S and L over
+            their spread [N], [2]. `turning`: per moment of turning over its spread [N mm], [4].
+            `unit`: Factor of each axis. `deviation`: Floor, share of the value and share of the
+            increments, by axis.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
         self.config = config
-        self.frame = FrameForces()
+        self.frame = Constants(spread=torch.ones(MOMENTS), press=torch.zeros(PRESSES))
         self.event = EventNetwork(config)
         gates = 4 * config.lstm_size
         self.gates_event = nn.Linear(config.event_size, gates)
@@ -167,9 +139,18 @@ class FgerNetwork(nn.Module):
         self.increment = perceptron(config.lstm_size + config.event_size, config.mlp_size)
         self.context = nn.Linear(MOMENTS, config.mlp_size, bias=False)
         if config.shear:
-            self.shear = AcrossForces()
+            self.shear = Constants(
+                pull=torch.zeros(2),
+                turning=torch.zeros(len(TURNING_WIDTHS)),
+                unit=torch.ones(3),
+                deviation=torch.zeros(3, 3),
+            )
         self.deviation: Tensor
         self.register_buffer('deviation', torch.zeros(3))
+
+    def frame_force(self, features: Tensor) -> Tensor:
+        """Return the normal force of frames [N], [...], by their features [..., 14]."""
+        return torch.Tensor(features[..., :PRESSES] @ self.frame.press)
 
     def initial_state(self, sequences: int) -> SequenceState:
         """Return the state before the first window: no force, empty memory."""
@@ -186,8 +167,8 @@ class FgerNetwork(nn.Module):
         frames: Tensor,
         slots: FrameSlots,
         state: SequenceState,
-    ) -> Course:
-        """Run T windows of B sequences.
+    ) -> tuple[Tensor, SequenceState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last.
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
@@ -208,7 +189,7 @@ class FgerNetwork(nn.Module):
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
         shown, drives, directs = (
-            each.unbind(0) for each in (self.frame(features[1:]), drive, direct)
+            each.unbind(0) for each in (self.frame_force(features[1:]), drive, direct)
         )
         hidden, cell, offset = state.hidden, state.cell, state.offset
         past = list(state.history.unbind(0))
@@ -228,7 +209,7 @@ class FgerNetwork(nn.Module):
             forces.append(past[-1] + offset)
         history = torch.stack(past[-self.config.history_windows :])
         last = SequenceState(hidden, cell, history, offset, seen[-1])
-        return Course(torch.stack(forces), last)
+        return torch.stack(forces), last
 
     def _exposed(self, past: list[Tensor], slots: FrameSlots) -> Tensor:
         """Return the sum of the increments [B] at the centre of the exposure of the frames."""
@@ -275,4 +256,4 @@ def network_of(model: Model) -> FgerNetwork:
 
 def model_of(network: FgerNetwork, card: ModelCard) -> Model:
     """Return the content of a weight file of a network."""
-    return Model(ARCHITECTURE, VERSION, network.config.to_dict(), card, arrays_of(network))
+    return Model(ARCHITECTURE, VERSION, asdict(network.config), card, arrays_of(network))

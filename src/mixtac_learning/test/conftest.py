@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
 
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import network_of
-from mixtac_learning.train.sequences import Sequences, stack
-from mixtac_learning.trials.samples import make_sample
+from mixtac_learning.train.sequences import DiskGroups, Sequences
+from mixtac_learning.trials.samples import Sample, make_sample, save_sample
 from mixtac_learning.trials.trial import ForceLabel, TrialArrays
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -65,8 +65,21 @@ def network(model: Model) -> FgerNetwork:
 
 
 @pytest.fixture(scope='session')
-def toy_sequences(config: FgerConfig) -> list[Sequences]:
-    """Two sets of toy trials: five to train on and two others."""
-    trials = [toy_arrays(1.6, seed) for seed in range(7)]
-    samples = [make_sample(config, trial) for trial in trials]
-    return [stack(samples[:5]), stack(samples[5:])]
+def toy_samples(config: FgerConfig) -> list[Sample]:
+    """Seven trials, each of another sensor."""
+    return [make_sample(config, toy_arrays(1.6, seed)) for seed in range(7)]
+
+
+@pytest.fixture(scope='session')
+def toy_groups(toy_samples: list[Sample], tmp_path_factory: Any) -> list[DiskGroups]:
+    """Two groups of toy trials: five to train on and two others."""
+    folder = tmp_path_factory.mktemp('toy')
+    for number, sample in enumerate(toy_samples):
+        save_sample(folder / str(number), sample)
+    paths = [folder / str(number) for number in range(7)]
+    return [DiskGroups(paths[:5], 5), DiskGroups(paths[5:], 2)]
+
+
+@pytest.fixture
+def toy_sequences(toy_groups: list[DiskGroups]) -> list[Sequences]:
+    return [each.load(0) for each in toy_groups]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Trials in memory: in place of groups on disk, and as the simulator returns them."""
+"""Trials in memory, as the simulator returns them."""
 
 from __future__ import annotations
 
@@ -9,35 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_learning.train.frame_fit import Frames
 from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 if TYPE_CHECKING:
-    from mixtac_learning.train.sequences import Sequences
     from mixtac_learning.trials.trial import TrialArrays
-
-
-class Groups(list):
-    """Groups in memory, of the sensors of the first one."""
-
-    @property
-    def devices(self) -> int:
-        return int(self[0].device.max()) + 1
-
-    @property
-    def length(self) -> int:
-        return len(self[0].force)
-
-    def frames(self) -> Frames:
-        parts = [
-            (each.frame_moments, each.frame_force, each.frame_across, each.device[each.frame_trial])
-            for each in self
-        ]
-        arrays = [np.concatenate(part) for part in zip(*parts, strict=True)]
-        return Frames(*(each.astype(np.float64) for each in arrays[:3]), arrays[3])
-
-    def load(self, index: int) -> Sequences:
-        return self[index]
 
 
 def simulation_of(trial: TrialArrays, **fields) -> SimpleNamespace:

@@ -232,7 +232,7 @@ def test_shipped_runs_can_be_read():
         run = read_run_config(name)
         if run.model == 'ours':
             from_mapping(TrainingSettings, run.training, 'training')
-            FgerConfig.from_dict(FgerConfig().to_dict() | run.network)
+            FgerConfig.from_dict(asdict(FgerConfig()) | run.network)
         else:
             from_mapping(PaperTraining, run.training, 'training')
             assert PaperConfig.from_dict({'model': run.model} | run.network).model == run.model
@@ -240,7 +240,7 @@ def test_shipped_runs_can_be_read():
 
 def test_the_shipped_weights_are_those_of_the_shipped_run():
     run, model = read_run_config('ours'), read_model(find_model('fger_small'))
-    assert model.config == FgerConfig.from_dict(FgerConfig().to_dict() | run.network).to_dict()
+    assert model.config == asdict(FgerConfig()) | run.network
     card, settings = model.card.training, from_mapping(TrainingSettings, run.training, 'training')
     assert card['settings'] == asdict(settings)
     assert card['trials'] + card['held_out_trials'] == run.data.simulated.trials

@@ -16,7 +16,7 @@ from mixtac_fger.config import (
     operations_per_cycle,
     tensor_shapes,
 )
-from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.force_path import ForcePath, Shown
 from mixtac_learning.network import FgerNetwork, FrameSlots, arrays_of
 
 WINDOWS = 60
@@ -28,30 +28,32 @@ def test_live_and_batch_agree():
     events = torch.randn(WINDOWS, 1, network.config.grid_rows, network.config.grid_columns, 4)
     none = torch.full((WINDOWS, 1), -1)
     with torch.no_grad():
-        course = network(
+        force, _ = network(
             events,
             torch.zeros(1, MOMENTS),
             FrameSlots(none, torch.zeros_like(none)),
             network.initial_state(1),
         )
-    path = RecurrentPath(network.config, arrays_of(network))
+    path = ForcePath(network.config, arrays_of(network))
     path.gains.value = np.array([1.0, 0.0])
     live = []
     for window in events[:, 0].numpy():
         path.step(window)
-        live.append(path.force)
-    assert np.abs(np.array(live) - course.force[:, 0].numpy()).max() < 1e-5
+        live.append(path.value[0])
+    assert np.abs(np.array(live) - force[:, 0].numpy()).max() < 1e-5
 
 
 def test_a_path_can_begin_at_a_force():
     torch.manual_seed(4)
     network = FgerNetwork(FgerConfig()).eval()
-    path = RecurrentPath(network.config, arrays_of(network))
+    path = ForcePath(network.config, arrays_of(network))
     path.step(np.ones((6, 8, 4), np.float32))
-    path.start_at(0.7)
-    assert path.force == pytest.approx(0.7)
+    shown = [Shown(np.zeros(MOMENTS), np.array([n]), np.zeros((1, 6, 8, 2))) for n in (0.7, 0.9)]
+    path.start_at(shown[0])
+    assert path.value[0] == pytest.approx(0.7)
     # Any past is at that force as well.
-    assert path.correct(0.9, 20) == pytest.approx(0.2)
+    path.correct(shown[1], 20)
+    assert path.value[0] == pytest.approx(0.9)
 
 
 MOST_PARAMETERS = 50_000

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from mixtac_fger import config as fger
 from mixtac_fger.estimator import open_estimator
-from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.fger_net import checked_config
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
 from mixtac_learning.experiments.harness import (
@@ -103,11 +104,12 @@ def paper_rows() -> list[Row]:
 
 def our_rows(seconds: float) -> list[Row]:
     """Return size and speed of the shipped model, timed on a trial of a length [s]."""
-    found = FgerEstimator(read_model(find_model(DEFAULT_MODEL)))
-    name, operations, flops = NETWORKS[OURS].label, _one(found.operations), '2 per multiply-add'
+    config = checked_config(read_model(find_model(DEFAULT_MODEL)))
+    parameters, operations = _one(fger.count_parameters(config)), fger.operations_per_cycle(config)
+    name, flops = NETWORKS[OURS].label, '2 per multiply-add'
     rows = [
-        _row(f'{name}: parameters', _one(found.parameters), '', 'counted', PARAMETERS),
-        _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
+        _row(f'{name}: parameters', parameters, '', 'counted', PARAMETERS),
+        _row(f'{name}: operations per frame interval', _one(operations), 'FLOP', flops, FLOPS),
     ]
     for step, times in zip(('window', 'frame'), step_times_ms(seconds), strict=True):
         text = f'this CPU, one thread, {len(times)} {step}s'

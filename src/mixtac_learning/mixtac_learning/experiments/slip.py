@@ -59,7 +59,8 @@ ENCODED_US = 8_000
 
 @cache
 def _model() -> Model:
-    return with_gain(read_model(find_model(DEFAULT_MODEL)), 1.0, CALIBRATED_DEVIATION)
+    model = read_model(find_model(DEFAULT_MODEL))
+    return with_gain(model, 1.0, deviation=CALIBRATED_DEVIATION)
 
 
 @lru_cache(maxsize=16)

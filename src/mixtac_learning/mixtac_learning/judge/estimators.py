@@ -46,7 +46,7 @@ class TrialEstimate:
         frames_only: The model's force of the latest frame, None if it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
-        across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an
+        across: `mixtac_fger.force_path.Shear` of each window, nan where unknown, [T, 5]; None of an
             estimator that never knows it.
         known_across: True force x and y [N] and torque z [Nm], None where unknown [T, 3].
     """

@@ -8,7 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from mixtac_fger.config import ConfigError, from_mapping, to_mapping
+from mixtac_fger.config import ConfigError, from_mapping
 
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
@@ -85,10 +85,6 @@ class PaperConfig:
     def frame_shape(self) -> tuple[int, int]:
         """Rows and columns of the frame network's input."""
         return self.height // self.scale, self.width // self.scale
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return to_mapping(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PaperConfig:

@@ -18,14 +18,8 @@ from mixtac_core.events.frames import bin_mean
 from mixtac_fger.estimator import EncodedFrame, Estimator
 from mixtac_fger.features import ImageError
 from mixtac_fger.weights import Model
-from mixtac_learning.network import count_parameters, usual_device
-from mixtac_learning.paper.networks import (
-    EventsOnly,
-    PaperState,
-    SegmentBatch,
-    operations_per_cycle,
-    paper_network_of,
-)
+from mixtac_learning.network import usual_device
+from mixtac_learning.paper.networks import EventsOnly, PaperState, SegmentBatch, paper_network_of
 from mixtac_learning.paper.samples import (
     FULL_SCALE,
     SETTLE_FRAMES,
@@ -57,17 +51,11 @@ class PaperEstimator(Estimator):
         self._network = paper_network_of(model).to(self._device)
         self._config = config = self._network.config
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
-        self.parameters = count_parameters(self._network)
         self._frame: EncodedFrame | None = None
         self._rest: list[NDArray[np.float16]] = []
         self._counts = self._no_counts()
         self._state: PaperState
         self.clear()
-
-    @property
-    def operations(self) -> int:
-        """Floating-point operations per frame interval of 40 ms at full load."""
-        return operations_per_cycle(self._config)
 
     @torch.inference_mode()
     def encode(self, image: NDArray[np.uint8] | NDArray[np.uint16], mid_us: int) -> EncodedFrame:

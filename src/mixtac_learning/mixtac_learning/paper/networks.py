@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import torch
@@ -305,7 +305,7 @@ PAPER_VERSION = 3
 
 def paper_model_of(network: PaperNetwork, card: ModelCard) -> Model:
     """Return the content of a weight file of one of the paper's networks."""
-    config = network.config.to_dict()
+    config = asdict(network.config)
     return Model(PAPER_ARCHITECTURE, PAPER_VERSION, config, card, arrays_of(network))
 
 

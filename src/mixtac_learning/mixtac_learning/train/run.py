@@ -48,7 +48,7 @@ def recipe_of(config: RunConfig) -> Recipe:
     if config.start:
         return fger_recipe(checked_config(read_model(find_model(config.start))))
     if config.model == OURS:
-        return fger_recipe(FgerConfig.from_dict(FgerConfig().to_dict() | config.network))
+        return fger_recipe(FgerConfig.from_dict(asdict(FgerConfig()) | config.network))
     return paper_recipe(PaperConfig.from_dict({'model': config.model} | config.network))
 
 

@@ -31,9 +31,6 @@ class Sequences:
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_moments`.
         frame_moments: Moments of all frames of all trials (`mixtac_fger.moments`), float32 [N, 14].
-        frame_force: Mean label per exposure [N], float32 [N].
-        frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
-        frame_trial: Which trial each frame belongs to, int64 [N].
         device: Which sensor each trial was made with, counted from 0, int64 [B].
     """
 
@@ -43,9 +40,6 @@ class Sequences:
     valid: Tensor
     slots: FrameSlots
     frame_moments: Tensor
-    frame_force: Tensor
-    frame_across: Tensor
-    frame_trial: Tensor
     device: Tensor
 
     def to(self, target: torch.device) -> Sequences:
@@ -83,16 +77,11 @@ def stack(
     index = padded('slots', -1)
     shifted = torch.where(index >= 0, index + torch.from_numpy(starts), -1)
     lengths = torch.tensor([len(sample.force) for sample in samples])
-    joined = ('frame_moments', 'frame_force', 'frame_across')
     return Sequences(
         **{name: padded(name) for name in ('event_features', 'force', 'across')},
-        **{
-            name: torch.from_numpy(np.concatenate([getattr(sample, name) for sample in samples]))
-            for name in joined
-        },
+        frame_moments=torch.from_numpy(np.concatenate([each.frame_moments for each in samples])),
         valid=torch.arange(length)[:, None] < lengths[None],
         slots=FrameSlots(shifted, padded('lags')),
-        frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
         device=torch.tensor(list(range(len(samples)) if devices is None else devices)),
     )
 
@@ -120,7 +109,6 @@ class DiskGroups:
         own: Which of the files this process reads; None for all.
 
     Attributes:
-        devices: Number of different sensors over all groups and processes.
         length: Windows that every trial is padded to.
     """
 
@@ -136,8 +124,7 @@ class DiskGroups:
             (sensor_of(sample.origin, f'trial {index}'), len(sample.force))
             for index, sample in enumerate(load_sample(path, Sample) for path in paths)
         ]
-        sensors, self._numbers = np.unique([key for key, *_ in facts], return_inverse=True)
-        self.devices = len(sensors)
+        self._numbers = np.unique([key for key, *_ in facts], return_inverse=True)[1]
         self.length = max(windows for _, windows in facts)
         self._paths = list(paths)
         self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]

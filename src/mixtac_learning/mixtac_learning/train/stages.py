@@ -13,18 +13,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mixtac_fger.config import PRESSES, FgerConfig
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import SPREAD_WINDOWS
-from mixtac_fger.moments import FlowMoments
-from mixtac_fger.recurrent_network import RecurrentPath
-from mixtac_fger.shear import ShearHead
+from mixtac_fger.force_path import ForcePath
 from mixtac_learning.network import (
     FgerNetwork,
     FrameSlots,
@@ -47,16 +45,11 @@ from mixtac_learning.train.sequences import (
 
 
 @torch.no_grad()
-def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor]:
-    """Run all sequences from their start.
-
-    Returns:
-        Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
-    """
-    frames = features_of(network, sequences)
+def estimate(network: FgerNetwork, sequences: Sequences) -> Tensor:
+    """Return the force at the end of each window of sequences from their start, [T, B] in N."""
     state = network.initial_state(sequences.force.shape[1])
-    course = network(sequences.event_features.float(), frames, sequences.slots, state)
-    return course.force, network.frame(frames)
+    events, frames = sequences.event_features.float(), features_of(network, sequences)
+    return torch.Tensor(network(events, frames, sequences.slots, state)[0])
 
 
 IMPACT_N = 3.0
@@ -185,13 +178,13 @@ class SequenceStage(Stage):
         """
         slots = FrameSlots(*(part[windows] for part in sequences.slots))
         events = mirror_events(sequences.event_features[windows].float(), *flip)
-        course = self.network(events, frames, slots, state)
+        found, state = self.network(events, frames, slots, state)
         valid, known = sequences.valid[windows], sequences.force[windows]
-        force = self.gains[sequences.device, 0] * course.force
+        force = self.gains[sequences.device, 0] * found
         errors = force_loss(force, known, self.settings.loss_knee_n)
         larger = torch.maximum(known.abs(), force.detach().abs())
         weights = valid * (1.0 + self.settings.force_weight * larger)
-        return (errors * weights).sum() / weights.sum().clamp(min=1.0), course.state
+        return (errors * weights).sum() / weights.sum().clamp(min=1.0), state
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -200,7 +193,7 @@ class SequenceStage(Stage):
         total, count = 0.0, 0
         for index in range(len(self.checked)):
             held = self.checked.load(index).to(self.gains.device)
-            errors = (estimate(self.network, held)[0] - held.force)[held.valid]
+            errors = (estimate(self.network, held) - held.force)[held.valid]
             total, count = total + float(errors.abs().sum()), count + len(errors)
         return total / count
 
@@ -212,56 +205,33 @@ class SequenceStage(Stage):
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
 
-class LiveCourse(NamedTuple):
-    """Values after each window as the live estimator has them, N, N and N mm.
-
-    Attributes:
-        force: Normal force, [T, B].
-        moved: Its change since the exposure of the latest frame, by events, [T, B].
-        across: `ShearHead.course`, [T, B, 2, 3]; zeros without the head.
-    """
-
-    force: Tensor
-    moved: Tensor
-    across: Tensor
-
-
 @torch.no_grad()
-def live_course(network: FgerNetwork, sequences: Sequences) -> LiveCourse:
+def live_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
     """Run trials as the live estimator does, with the gains of each sensor.
 
     Args:
         network: Trained.
         sequences: Trials.
+
+    Returns:
+        `ForcePath.course` after each window, of sideways force and torsion less what the output has
+        yet to follow, [T, B, 2, 1 or 4] in N and N mm.
     """
     config, tensors = network.config, arrays_of(network)
-    frames = features_of(network, sequences)
-    forces = network.frame(frames).cpu().numpy()
-    features, events, frame, lags = (
-        part.cpu().numpy() for part in (frames, sequences.event_features.float(), *sequences.slots)
+    events, moments, frame, lags = (
+        part.cpu().numpy()
+        for part in (sequences.event_features, sequences.frame_moments, *sequences.slots)
     )
-    moments = FlowMoments(config, tensors['frame.spread'])
-    found = np.zeros((*events.shape[:2], 8), np.float32)
-    for trial in range(events.shape[1]):
-        path = RecurrentPath(config, tensors)
-        shear = ShearHead(config, tensors) if config.shear else None
-        for window in range(len(events)):
-            if (row := int(frame[window, trial])) >= 0:
-                lag = int(lags[window, trial])
-                path.correct(float(forces[row]), lag)
-                per_flow = moments.per_flow(features[row])
-                if shear is not None:
-                    shear.correct(shear.measure(features[row], per_flow), lag, SPREAD_WINDOWS)
-                press = np.tensordot(tensors['frame.press'], per_flow[:PRESSES], 1)
-                path.see(features[row], press)
-            path.step(events[window, trial])
-            found[window, trial, :2] = path.force, path.moved
-            if shear is not None:
-                shear.step(events[window, trial])
-                found[window, trial, 2:] = shear.course.ravel()
-    force, moved, across = np.split(found, [1, 2], axis=-1)
-    across = across.reshape(*across.shape[:-1], 2, 3)
-    return LiveCourse(*(torch.from_numpy(each) for each in (force[..., 0], moved[..., 0], across)))
+    found = np.zeros((*frame.shape, 2, 4 if config.shear else 1), np.float32)
+    for trial in range(frame.shape[1]):
+        path = ForcePath(config, tensors)
+        for window, row in enumerate(frame[:, trial].tolist()):
+            if row >= 0:
+                path.correct(path.measure(moments[row]), int(lags[window, trial]), SPREAD_WINDOWS)
+            path.step(events[window, trial].astype(np.float32))
+            found[window, trial] = path.course()
+            found[window, trial, 0, 1:] -= path.pending[1:]
+    return torch.from_numpy(found)
 
 
 COVERED = 0.6827
@@ -282,18 +252,17 @@ def calibrate_deviations(network: FgerNetwork, groups: DiskGroups) -> None:
     normal, across, trials = [], [], 0
     for index in range(len(groups)):
         sequences = groups.load(index).to(next(network.parameters()).device)
-        found, kept = live_course(network, sequences), sequences.valid.cpu()
-        force, moved, known = (
-            each[kept] for each in (found.force, found.moved, sequences.force.cpu())
-        )
-        normal.append(torch.stack([force, moved, force - known], -1))
+        value, moved = live_course(network, sequences).unbind(-2)
+        kept, known = sequences.valid.cpu(), sequences.force.cpu()
+        rows = torch.stack([value[..., 0], moved[..., 0], value[..., 0] - known], -1)
+        normal.append(rows[kept])
         trials += kept.shape[1]
         if network.config.shear:
             # Without contact both are zero, and so would be the floor.
-            touched = sequences.force.cpu() > RELEASED_N
-            kept = kept & touched & torch.isfinite(sequences.across.cpu()).all(-1)
-            value, moved = found.across[kept].unbind(1)
-            across.append(torch.stack([value, moved, value - sequences.across.cpu()[kept]], -1))
+            known_across = sequences.across.cpu()
+            kept = kept & (known > RELEASED_N) & torch.isfinite(known_across).all(-1)
+            value, moved = value[..., 1:], moved[..., 1:]
+            across.append(torch.stack([value, moved, value - known_across], -1)[kept])
     fitted = _floor_and_shares(torch.cat(normal).double().numpy(), trials)
     network.deviation.copy_(torch.from_numpy(fitted))
     if across and len(sideways := torch.cat(across).double().numpy()):

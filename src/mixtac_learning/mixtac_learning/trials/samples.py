@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -22,7 +22,7 @@ from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.files import FileError, new_folder
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
-from mixtac_fger.shear import NEWTONS
+from mixtac_fger.force_path import NEWTONS
 from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
 
 if TYPE_CHECKING:
@@ -297,5 +297,5 @@ UNSEEN_BY_SAMPLES = {
 
 def fger_recipe(config: FgerConfig) -> Recipe:
     """Return the recipe of the samples of FGER-Net."""
-    kept = {name: v for name, v in config.to_dict().items() if name not in UNSEEN_BY_SAMPLES}
+    kept = {name: v for name, v in asdict(config).items() if name not in UNSEEN_BY_SAMPLES}
     return Recipe('fger', config, make_sample, {'kind': 'fger 10'} | kept)

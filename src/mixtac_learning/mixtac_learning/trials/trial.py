@@ -29,7 +29,7 @@ class ForceLabel:
     Attributes:
         t_us: Camera clock [us], increasing.
         force: Normal force [N], positive when pressed; or across it force x, force y [N] and torque
-            z [Nm], [n, 3], with the axes of `mixtac_fger.shear`.
+            z [Nm], [n, 3], with the axes of `mixtac_fger.force_path`.
     """
 
     t_us: NDArray[np.float64]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_fger.recurrent_network import EventGains
+from mixtac_fger.force_path import EventGains
 from mixtac_learning.judge.estimators import stream, windows_of
 from mixtac_learning.train.sequences import stack
 from mixtac_learning.train.stages import estimate
@@ -24,14 +24,14 @@ def exact(monkeypatch):
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
     monkeypatch.setattr(EventGains, 'PRIOR', (1.0, 0.0))
     monkeypatch.setattr(EventGains, 'PRIOR_N', 1e6)
-    monkeypatch.setattr('mixtac_fger.recurrent_network.BLOW_N', 1e6)
+    monkeypatch.setattr('mixtac_fger.force_path.BLOW_N', 1e6)
 
 
 @pytest.mark.usefixtures('exact')
 def test_streaming_equals_the_batch_network(model, network, config, trial):
     # Samples are kept as float16 on disk; the two paths are compared without that rounding.
     sample = make_sample(config, trial)
-    force, _ = estimate(network, stack([sample]))
+    force = estimate(network, stack([sample]))
     run = stream(model, trial)
     assert np.abs(run.force - force[:, 0].numpy()).max() < 1e-5
     assert np.array_equal(run.t_us, sample.window_end_us)

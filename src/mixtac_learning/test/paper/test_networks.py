@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -212,7 +212,7 @@ def test_impossible_configurations_are_refused():
     with pytest.raises(ConfigError):
         PaperConfig.from_dict({'depth': 3})
     config = PaperConfig(model='fusion', scale=2)
-    assert PaperConfig.from_dict(config.to_dict()) == config
+    assert PaperConfig.from_dict(asdict(config)) == config
 
 
 SIZES = {'scale': 16, 'events_per_packet': 16, 'channels': 8, 'blocks': 1, 'lstm_size': 8}

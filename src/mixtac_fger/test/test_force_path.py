@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,9 +14,9 @@ from toy_sensor import displacement, estimates, random_model
 from mixtac_fger.config import MOMENTS, FgerConfig, ModelError
 from mixtac_fger.estimator import Estimate, fill_quality
 from mixtac_fger.features import bin_cells
-from mixtac_fger.fger_net import with_gain, with_sideways_gain
-from mixtac_fger.moments import PER_EVENT, FlowMoments, moments
-from mixtac_fger.shear import Shear, ShearHead
+from mixtac_fger.fger_net import with_gain
+from mixtac_fger.force_path import ForcePath, Shear
+from mixtac_fger.moments import PER_EVENT, moments
 from mixtac_fger.weights import Model, ModelCard, read_model, save_model
 
 CONFIG = FgerConfig(shear=True)
@@ -25,27 +25,32 @@ MIDDLE = 0.5 * (COLUMNS - 1), 0.5 * (ROWS - 1)
 SPREAD = np.linspace(1.0, 3.0, MOMENTS).astype(np.float32)
 
 
-def tensors():
-    """Return a head that reads x and y from the moments of a pull, torque from one of turning."""
-    return {
+@pytest.fixture(scope='module')
+def headed():
+    found = random_model(CONFIG)
+    for name in ('shear.unit', 'shear.deviation'):
+        np.abs(found.tensors[name], out=found.tensors[name])
+    return found
+
+
+@pytest.fixture
+def path(headed):
+    """Return a path that reads x and y from the moments of a pull, torque from one of turning."""
+    constants = {
+        'frame.spread': SPREAD,
         'shear.pull': np.float32([1.0, 0.0]),
         'shear.turning': np.float32([0.0, 0.5, 0.0, 0.0]),
         'shear.unit': np.array([2.0, 2.0, 3.0], np.float32),
         'shear.deviation': np.tile(np.float32([0.1, 0.2, 0.5]), (3, 1)),
     }
+    return ForcePath(CONFIG, headed.tensors | constants)
 
 
-def frame(flow):
-    """Return the feature of a frame with a displacement [2, rows, columns] in bins."""
+def measured(path, flow):
+    """Return what a frame with a displacement [2, rows, columns] in bins shows."""
     found = np.empty(MOMENTS, np.float32)
     moments(flow, found)
-    return found / SPREAD
-
-
-def measured(head, flow):
-    """Return what a head measures in a frame with a displacement [2, rows, columns] in bins."""
-    feature = frame(flow)
-    return head.measure(feature, FlowMoments(CONFIG, SPREAD).per_flow(feature))
+    return path.measure(found)
 
 
 def load(pull=(0.0, 0.0), turn=0.0):
@@ -64,84 +69,65 @@ def flow_between(before, after):
     return cells
 
 
-def test_events_tell_what_the_next_frame_shows():
+def test_events_show_what_the_next_frame_shows(path):
     before, after = load(), load(pull=(0.3, -0.2), turn=0.03)
-    head = ShearHead(CONFIG, tensors())
-    first, second = measured(head, before), measured(head, after)
-    head.correct(first, 0)
-    head.step(flow_between(before, after))
-    change = second.value - first.value
+    first, second = measured(path, before), measured(path, after)
+    path.correct(first, 0)
+    path.step(flow_between(before, after))
+    change = (second.value - first.value)[1:]
     # The contact that moments are about is that of the frame before.
-    np.testing.assert_allclose(head.course[0] - first.value, change, rtol=0.2)
+    np.testing.assert_allclose(path.moved[1:], change, rtol=0.2)
     assert (np.abs(change) > 0.05).all()
 
 
-def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on():
-    head = ShearHead(CONFIG, tensors())
-    assert head.value is None
+def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on(path):
+    assert not path.known
     start, pulled = load(), load(pull=(0.5, 0.0))
-    shown = measured(head, start)
-    head.correct(shown, 0)
+    shown = measured(path, start)
+    path.correct(shown, 0)
     part = 0.25 * flow_between(start, pulled)
-    step = np.tensordot(shown.per_flow, part[..., :2], 3)
+    step = np.tensordot(shown.per_flow, part[..., :2], 3)[1:]
+    units = 2.0, 2.0, 3e-3
     for _ in range(4):
-        head.step(part)
-    np.testing.assert_allclose(head.value[:2], 2.0 * (shown.value + 4.0 * step)[:2], rtol=1e-6)
+        path.step(part)
+    expected = units * (shown.value[1:] + 4.0 * step)
+    np.testing.assert_allclose(path.estimate()[0][1:], expected, rtol=1e-6)
     # Exposed two windows ago: only the last two increments come on top.
-    shown = measured(head, load(pull=(0.4, 0.1)))
-    head.correct(shown, 2)
-    last = head.value[:2]
-    nothing = np.zeros_like(part)
-    head.step(nothing)
-    value = shown.value + 2.0 * step
-    np.testing.assert_allclose(head.value[:2], 2.0 * value[:2], rtol=1e-6)
-    assert head.value.torque == pytest.approx(3e-3 * value[2], abs=1e-9)
-    expected = 2.0 * np.sqrt(0.1**2 + (0.2 * value) ** 2 + (0.5 * 2.0 * np.abs(step)) ** 2)
-    assert head.value.deviation == pytest.approx(expected[:2].max(), rel=1e-6)
-    assert last[0] != pytest.approx(2.0 * value[0], rel=1e-3)
-    head.clear()
-    assert head.value is None
+    shown = measured(path, load(pull=(0.4, 0.1)))
+    path.correct(shown, 2)
+    path.step(np.zeros_like(part))
+    value = shown.value[1:] + 2.0 * step
+    output, deviation = (each[1:] for each in path.estimate())
+    np.testing.assert_allclose(output, units * value, rtol=1e-6)
+    expected = units * np.sqrt(0.1**2 + (0.2 * value) ** 2 + (0.5 * 2.0 * np.abs(step)) ** 2)
+    np.testing.assert_allclose(deviation, expected, rtol=1e-6)
+    path.clear()
+    assert not path.known
 
 
-def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is():
-    head = ShearHead(CONFIG, tensors())
-    head.correct(measured(head, load()), 0)
-    start = head.value
-    shown = measured(head, load(pull=(0.5, 0.0)))
-    head.correct(shown, 0, 10)
-    assert head.value.x == pytest.approx(start.x)
-    way = 2.0 * shown.value[0] - start.x
+def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is(path):
+    path.correct(measured(path, load()), 0)
     nothing = np.zeros((CONFIG.grid_rows, CONFIG.grid_columns, 4), np.float32)
+    path.step(nothing)
+    start = path.estimate()[0]
+    shown = measured(path, load(pull=(0.5, 0.0)))
+    path.correct(shown, 0, 10)
+    assert path.estimate()[0] == pytest.approx(start)
+    way = 2.0 * shown.value[1] - start[1]
     for left in range(9, -1, -1):
-        before = head.value
-        head.step(nothing)
-        assert head.value.x - before.x == pytest.approx(0.1 * way)
-        assert head.value.deviation > abs(0.1 * left * way)
+        before = path.estimate()[0]
+        path.step(nothing)
+        output, deviation = path.estimate()
+        assert (output - before)[1] == pytest.approx(0.1 * way)
+        assert deviation[1] > abs(0.1 * left * way)
 
 
-def test_values_that_are_not_finite_are_unknown():
-    head = ShearHead(CONFIG, tensors())
-    shown = measured(head, load())
-    for windows in (1, 10):
-        head.correct(shown._replace(value=np.array([np.nan, 0.0, 0.0])), 0, windows)
-        assert head.value is None
-        head.correct(shown, 0, windows)
-        assert head.value is not None
-
-
-@pytest.fixture(scope='module')
-def headed():
-    found = random_model(CONFIG)
-    for name in ('shear.unit', 'shear.deviation'):
-        np.abs(found.tensors[name], out=found.tensors[name])
-    return found
-
-
-def test_the_normal_force_is_the_same_to_the_bit_with_and_without_the_head(headed, trial):
+def test_the_normal_force_is_the_same_with_and_without_the_others(headed, trial):
     kept = {name: each for name, each in headed.tensors.items() if not name.startswith('shear')}
-    bare = replace(headed, config=FgerConfig().to_dict(), tensors=kept)
+    bare = replace(headed, config=asdict(FgerConfig()), tensors=kept)
     with_head, without = estimates(headed, trial), estimates(bare, trial)
-    assert [each[:3] for each in with_head] == [each[:3] for each in without]
+    force, alone = (np.array([each[:3] for each in both]) for both in (with_head, without))
+    np.testing.assert_allclose(force, alone, rtol=1e-9)
     assert all(each.shear is None for each in without)
     assert all(np.isfinite(each.shear).all() for each in with_head)
 
@@ -150,21 +136,20 @@ def test_gains_of_weights_and_of_parameters_multiply_what_they_name(headed, tria
     plain = np.array([each.shear for each in estimates(headed, trial)])
     assert np.abs(plain[:, :3]).max(axis=0).min() > 1e-8
     for found in (
-        estimates(with_sideways_gain(with_gain(headed, 1.5), 2.0), trial),
+        estimates(with_gain(headed, 1.5, 2.0), trial),
         estimates(headed, trial, force_scale=1.5, sideways_scale=2.0),
     ):
         np.testing.assert_allclose([e.shear for e in found], 3.0 * plain, rtol=2e-3)
 
 
-def test_impossible_gains_and_other_models_are_refused(headed, model):
+def test_impossible_gains_and_other_models_are_refused(model):
     other = Model('another', 1, model.config, model.card, model.tensors)
     for gain in (0.0, float('nan'), float('inf')):
-        for fold in (with_gain, with_sideways_gain):
+        for gains in ((gain, 1.0), (1.0, gain)):
             with pytest.raises(ModelError):
-                fold(headed, gain)
-    for fold, wrong in ((with_sideways_gain, model), (with_gain, other)):
-        with pytest.raises(ModelError):
-            fold(wrong, 2.0)
+                with_gain(model, *gains)
+    with pytest.raises(ModelError):
+        with_gain(other, 2.0)
 
 
 def test_quality_says_which_axes_are_known():
