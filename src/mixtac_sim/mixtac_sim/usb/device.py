@@ -314,8 +314,8 @@ class VirtualDavis346:
     def losses(self) -> dict[str, int]:
         """Losses since power-up: events and frames that found the buffer full."""
         with self._condition:
-            count = self._registers.statistic
-            dropped = count(Module.MUX, Mux.DVS_DROPPED) + count(Module.DVS, Dvs.DROPPED)
+            counts = self._registers.counts
+            dropped = counts[Module.MUX, Mux.DVS_DROPPED] + counts[Module.DVS, Dvs.DROPPED]
             return {'events_dropped': dropped, 'frames_dropped': self._stream.frames_dropped}
 
     # Internal; the lock is held.

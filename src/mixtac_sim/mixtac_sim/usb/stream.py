@@ -206,7 +206,7 @@ class StreamAssembler:
             events = Events.empty()
         else:
             events, filtered = self._filter.apply(events)
-            self._registers.count(Module.DVS, Dvs.FILTERED_PIXELS, filtered)
+            self._registers.counts[Module.DVS, Dvs.FILTERED_PIXELS] += filtered
         self._send(events, others, self._oscillator.now(true_us))
 
     def _due_events(self, true_us: int) -> Events:
@@ -276,8 +276,8 @@ class StreamAssembler:
         words = self._encoder.encode(events, others, until_us)
         if self.push(words):
             rows = int(np.count_nonzero(words & 0xF000 == ROW_WORD))
-            self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
-            self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
+            self._registers.counts[Module.DVS, Dvs.ROW_EVENTS] += rows
+            self._registers.counts[Module.DVS, Dvs.COLUMN_EVENTS] += len(events)
             return
         self._encoder.state[:] = before
         self._count_dropped(len(events))
@@ -286,5 +286,5 @@ class StreamAssembler:
 
     def _count_dropped(self, events: int) -> None:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)
-        module, param = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
-        self._registers.count(module, param, events)
+        place = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
+        self._registers.counts[place] += events

@@ -291,12 +291,13 @@ class LiveProfile:
 
     def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
-        found = np.zeros(count, np.int8), np.zeros(count), np.zeros(count, np.int8)
+        modes, targets = np.zeros(count, np.int8), np.zeros(count)
+        tools = np.zeros(count, np.int8)
         for begin, end, play in self._spans(first, count):
             given = play.scenario.commands(begin - play.start, end - begin, self.indenters)
-            for whole, part in zip(found, given, strict=True):
-                whole[begin - first : end - first] = part
-        return found
+            span = slice(begin - first, end - first)
+            modes[span], targets[span], tools[span] = given
+        return modes, targets, tools
 
     def _spans(self, first: int, count: int) -> list[tuple[int, int, Play]]:
         """Return which scenario commands which grid steps, as (begin, end, play)."""
