@@ -132,7 +132,7 @@ def _shortest(jobs: list[list[Callable[[], None]]], seconds: float) -> list[floa
 
 def _decode(decoder: StreamDecoder, words: NDArray[np.uint16]) -> None:
     for start in range(0, len(words), TRANSFER_BYTES // 2):
-        for _ in decoder.push(words[start : start + TRANSFER_BYTES // 2], short_packet=False):
+        for _ in decoder.push(words[start : start + TRANSFER_BYTES // 2]):
             pass
 
 

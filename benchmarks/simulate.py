@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final
 import psutil
 import typer
 from rich.console import Console
+from usb.core import USBTimeoutError
 
 from mixtac.figures import make_table
 from mixtac.options import JsonFile, Preset
@@ -25,7 +26,6 @@ from mixtac_sim.bags.trial_bag import generate
 from mixtac_sim.usb import registers
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
-from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
 from mixtac_sim.world.plans import describe, plan_profile
 from mixtac_sim.world.trial import Stretch, TrialStream
@@ -81,7 +81,7 @@ class Chain:
         """Run the whole trial and measure the time; only once.
 
         Raises:
-            UsbTimeout: The camera did not answer.
+            USBTimeoutError: The camera did not answer.
         """
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         events = octets = last_us = 0
@@ -99,7 +99,7 @@ class Chain:
             camera.advance(now_us)
             try:
                 octets += len(camera.read_bulk(DATA_ENDPOINT, READ_BYTES, 0.0))
-            except UsbTimeout:
+            except USBTimeoutError:
                 continue
         return octets
 

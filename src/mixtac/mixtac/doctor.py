@@ -204,13 +204,13 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
         A pyusb backend, None if the named sensor does not answer, and the finding.
     """
     from mixtac_driver.device import open_backend
-    from mixtac_sim.usb.errors import NoVirtualSensorError
+    from mixtac_sim import SimulationError
 
     name, found = 'virtual sensor', 'a running one is checked'
     with ExitStack() as closing:
         try:
             backend = open_backend(device)
-        except NoVirtualSensorError as error:
+        except SimulationError as error:
             if device != 'virtual':
                 yield None, Finding(name, Level.ERROR, error.message, error.remedy)
                 return

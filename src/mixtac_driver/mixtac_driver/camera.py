@@ -255,7 +255,7 @@ class Davis346:
             elif decoder.waiting:
                 # The end of the packet will not come soon.
                 self._due_us = 0
-                nothing = Transfer(b'', time.time_ns(), short_packet=True)
+                nothing = Transfer(b'', time.time_ns())
                 yield from self._decode(decoder, epochs, connection, nothing)
             elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(
@@ -331,8 +331,7 @@ class Davis346:
         transfer: Transfer,
     ) -> Iterator[CameraBatch]:
         origin_before, came, was_reset = epochs.origin, False, False
-        short, due_us = transfer.short_packet, self._due_us
-        for batch in decoder.push(transfer.data, short_packet=short, until_us=due_us):
+        for batch in decoder.push(transfer.data, until_us=self._due_us):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
             if origin is None:
                 continue

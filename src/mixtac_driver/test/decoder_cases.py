@@ -121,16 +121,15 @@ class Collected:
 
 
 def decode(words, geometry=None, cuts=(), capacity=64, held_us=0):
+    """Decode words that come in pieces, cut after some numbers of words."""
     data = np.asarray(words, '<u2').tobytes()
     collected = Collected(StreamDecoder(geometry or Geometry(), capacity=capacity))
-    limits = sorted({min(c, len(data)) for c in cuts})
+    limits = sorted({min(2 * c, len(data)) for c in cuts})
     for start, end in zip([0, *limits], [*limits, len(data)], strict=True):
         until_us = collected.decoder.time_us + held_us
-        collected.take(
-            collected.decoder.push(data[start:end], short_packet=False, until_us=until_us)
-        )
+        collected.take(collected.decoder.push(data[start:end], until_us=until_us))
     if collected.decoder.waiting:
-        collected.take(collected.decoder.push(b'', short_packet=False))
+        collected.take(collected.decoder.push(b''))
     return collected
 
 

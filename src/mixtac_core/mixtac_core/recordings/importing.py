@@ -33,6 +33,13 @@ from mixtac_core.recordings.table_recording import table_wrenches
 from mixtac_core.recordings.tables import TableOptions
 
 
+def serialised(topic: Topic, message: Any) -> bytes:  # noqa: ANN401
+    """Return a message of rosbags as bytes; what is serialised already stays as it is."""
+    if isinstance(message, bytes):
+        return message
+    return bytes(typestore().serialize_cdr(message, topic.type_name))
+
+
 class StreamWriter:
     """Writes one camera's stream to a bag; times are on its epoch-based clock [us].
 
@@ -61,22 +68,20 @@ class StreamWriter:
             self._handles[topic.name] = self._bag.add_topic(
                 name, topic.type_name, latched=topic.latched
             )
-        data = message
-        if not isinstance(message, bytes):
-            data = bytes(typestore().serialize_cdr(message, topic.type_name))
-        self._bag.write(self._handles[topic.name], received_ns, data)
+        self._bag.write(self._handles[topic.name], received_ns, serialised(topic, message))
 
-    def events(self, events: Events, until_us: int, arrival_ns: int) -> None:
-        """Write events, sorted and not before earlier ones.
+    def events(self, events: Events, until_us: int, arrival_ns: int, *, delay_ns: int = 0) -> None:
+        """Write events in packets of a millisecond.
 
         Args:
-            events: The events; may be none.
-            until_us: No later event is before this time.
-            arrival_ns: Host time of their arrival [ns since the Unix epoch].
+            events: Events [us, published time], after those before.
+            until_us: No later call adds earlier events.
+            arrival_ns: When their data were received from the camera.
+            delay_ns: From then to the reception of the packets.
         """
         for packet in self._packetizer.push(events, until_us, arrival_ns):
             data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
-            self.put(topics.EVENTS, arrival_ns, data)
+            self.put(topics.EVENTS, arrival_ns + delay_ns, data)
             self._sequence += 1
 
     def frame(self, frame: Frame, origin_us: int, received_ns: int) -> None:

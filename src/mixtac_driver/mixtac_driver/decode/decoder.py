@@ -3,9 +3,7 @@
 """Decoder of the data stream: bytes of USB transfers in; events, frames and samples out.
 
 Words are 16-bit, little-endian and independent of transfers, so everything incomplete is kept from
-one transfer to the next. That includes half a word: an odd byte at the end of a full transfer is
-kept until its other half arrives. At the end of a short packet it is dropped and counted, because
-the camera ended the packet there.
+one transfer to the next. Transfers hold whole words; an odd byte is dropped and counted.
 
 Per transfer, the decoder creates a handful of small Python objects and no array of events: batches
 are views of its own arrays. Only frames, inertial samples and edges are copied out.
@@ -67,11 +65,10 @@ class StreamDecoder:
         self._image = b.pixels[0]['image']
         x, y = (b.row, b.column) if geometry.dvs_inverted else (b.column, b.row)
         self._events = Events(b.t, x, y, b.polarity.view(np.bool_))
-        self._half_word = b''
         self._resets = self._held = 0
         self.waiting = False
         # The first call compiles, or loads compiled code: do it now, before data arrive.
-        decode_words(self._words(b'', short_packet=True), 0, 0, b)
+        decode_words(self._words(b''), 0, 0, b)
 
     @property
     def counters(self) -> DecoderCounters:
@@ -83,22 +80,18 @@ class StreamDecoder:
         """Latest time in the stream [us, camera clock]."""
         return int(self._state['time'])
 
-    def push(
-        self, data: Octets, *, short_packet: bool = True, until_us: int = 0
-    ) -> Iterator[DecodedBatch]:
+    def push(self, data: Octets, *, until_us: int = 0) -> Iterator[DecodedBatch]:
         """Decode the bytes of one transfer; take all batches before the next one.
 
         Args:
-            data: Bytes as they came.
-            short_packet: True if the camera ended the transfer early; False if the transfer is
-                full to the last byte, so that its last word may be split.
+            data: Bytes as they came: whole words; an odd byte at the end is counted.
             until_us: Time before which no batch is due [us, camera clock]: what is decoded stays
                 for the next call, unless it holds a frame.
 
         Yields:
             Batches: one without `until_us`, more after bursts and resets of the clock.
         """
-        words = self._words(data, short_packet=short_packet)
+        words = self._words(data)
         i, n, reason = 0, self._held, FULL
         self._held, self.waiting = 0, False
         while reason != DONE:
@@ -116,16 +109,10 @@ class StreamDecoder:
                 until_us = 0
             n = 0
 
-    def _words(self, data: Octets, *, short_packet: bool) -> NDArray[np.uint16]:
+    def _words(self, data: Octets) -> NDArray[np.uint16]:
         octets = np.frombuffer(data, np.uint8)
-        if self._half_word:
-            octets = np.concatenate((np.frombuffer(self._half_word, np.uint8), octets))
-            self._half_word = b''
         if len(octets) % 2:
-            if short_packet:
-                self._counters['bytes_dropped'] += 1
-            else:
-                self._half_word = octets[-1:].tobytes()
+            self._counters['bytes_dropped'] += 1
             octets = octets[:-1]
         words: NDArray[np.uint16] = octets.view(WORD)
         # Always the same array type, whatever the buffer, so that the kernel is compiled only once.

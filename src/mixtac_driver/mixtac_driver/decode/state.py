@@ -48,7 +48,7 @@ class DecoderCounters:
             belong where they are, or would set the time back.
         frames_dropped: Frames dropped because they were incomplete.
         imu_dropped: Inertial samples dropped because they were incomplete.
-        bytes_dropped: Half words dropped at the end of short packets.
+        bytes_dropped: Odd bytes dropped at the end of transfers.
     """
 
     words: int = 0

@@ -116,7 +116,6 @@ class BulkTransfer:
         fields.length = size
         fields.buffer = self._address
         fields.callback = self._callback
-        self.size = size
 
     @property
     def status(self) -> int:
@@ -273,7 +272,7 @@ class AsynchronousReader:
             self._failure = USBError(f'transfer ended with status {status}', None, number)
         # A read that failed or was cancelled may hold data.
         if data:
-            self._done.append((read, self.counters.add(data, full_size=read.size)))
+            self._done.append((read, self.counters.add(data)))
         elif status == COMPLETED:
             self._submit(read)
 

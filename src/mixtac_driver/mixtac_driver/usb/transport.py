@@ -31,12 +31,10 @@ class Transfer:
     Attributes:
         data: Bytes.
         arrival_ns: Host time of arrival [ns since the Unix epoch].
-        short_packet: True where the camera ended the transfer before the buffer was full.
     """
 
     data: bytes
     arrival_ns: int
-    short_packet: bool
 
 
 @dataclass(slots=True)
@@ -53,16 +51,11 @@ class TransportCounters:
     stalls: int = 0
     stalls_in_a_row: int = 0
 
-    def add(self, data: bytes, *, full_size: int) -> Transfer:
-        """Count data that arrived now, and return them.
-
-        Args:
-            data: Bytes, at least one.
-            full_size: Bytes that were requested.
-        """
+    def add(self, data: bytes) -> Transfer:
+        """Count data that arrived now, and return them."""
         self.size += len(data)
         self.stalls_in_a_row = 0
-        return Transfer(data, time.time_ns(), len(data) < full_size)
+        return Transfer(data, time.time_ns())
 
     def add_failure(self, error: USBError) -> None:
         """Count a failed read: a few stalls in a row may be cleared.
@@ -137,4 +130,4 @@ class BulkReader:
         if not count:
             return None
         data = bytes(memoryview(self._buffer)[:count])
-        return self.counters.add(data, full_size=len(self._buffer))
+        return self.counters.add(data)

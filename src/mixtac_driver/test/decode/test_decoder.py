@@ -68,16 +68,11 @@ def test_a_reset_makes_everything_due():
     ]
 
 
-def test_odd_byte_waits_for_its_half_after_a_full_transfer_and_goes_after_a_short_one():
-    data = np.array([0x1005, 0x2007], '<u2').tobytes()
+def test_an_odd_byte_at_the_end_of_a_transfer_is_dropped_and_counted():
     decoder = StreamDecoder(Geometry())
-    collected = Collected(decoder)
-    collected.take(decoder.push(data[:3], short_packet=False))
-    collected.take(decoder.push(data[3:], short_packet=False))
-    assert collected.events == [(0, 0, 5, 7, False)]
-    collected.take(decoder.push(data[:3], short_packet=True))
-    collected.take(decoder.push(data[2:], short_packet=True))
-    assert len(collected.events) == 2
+    collected = Collected(decoder).take(decoder.push(words_of(0x1005, 0x2007, 0x2008)[:5]))
+    collected.take(decoder.push(words_of(0x2009)))
+    assert [event[2:4] for event in collected.events] == [(5, 7), (5, 9)]
     assert decoder.counters.bytes_dropped == 1
 
 

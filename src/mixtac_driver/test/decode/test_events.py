@@ -43,7 +43,7 @@ def test_dense_streams(capacity, sound):
         size = (260, 346) if inverted else (346, 260)
         geometry = Geometry(*size, inverted)
         words = [0x1001, *dense(rng, geometry, 3000, sound=sound)]
-        found = both(words, geometry, capacity=capacity, cuts=range(0, 6000, 1501))
+        found = both(words, geometry, capacity=capacity, cuts=range(0, 3000, 751))
         assert len(found.events) > 1500
         assert (found.decoder.counters.words_unexpected > 0) != sound
 

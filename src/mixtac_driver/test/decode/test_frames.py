@@ -82,7 +82,7 @@ def test_regions_in_every_orientation_among_events(code, dvs_inverted):
     for delay in (None, 0, 3):
         origin = (int(rng.integers(0, 240)), int(rng.integers(0, 190)))
         words += frame(rng, geometry, origin, (100, 60), delay=delay, between=events)
-    found = both(words, geometry, cuts=range(1, 200_000, 4097))
+    found = both(words, geometry, cuts=range(1, 100_000, 2049))
     assert len(found.frames) == 3
     assert [f[3] for f in found.frames] == [True, False, False]
     assert len(found.events) > 20

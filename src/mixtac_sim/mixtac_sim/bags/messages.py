@@ -14,20 +14,20 @@ have received them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.arrays import Events
 from mixtac_core.events.clock_map import ClockMap
-from mixtac_core.events.packets import PacketWriter
 from mixtac_core.events.readings import Frame, InertialSamples, inertial_samples
-from mixtac_core.events.windows import Packetizer
 from mixtac_core.node import topics
+from mixtac_core.node.topics import Topic
 from mixtac_core.recordings import messages
-from mixtac_core.recordings.bag import blank_message, typestore
+from mixtac_core.recordings.bag import blank_message
+from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.importing import StreamWriter, serialised
 from mixtac_sim.grids import HEIGHT, WIDTH, stream
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.endpoints import serial_number
@@ -84,20 +84,6 @@ class TrialClocks:
         return np.asarray(np.maximum.accumulate(arrivals), np.int64)
 
 
-class BagMessage(NamedTuple):
-    """One message of a bag.
-
-    Attributes:
-        received_ns: Reception by a recorder [ns since the Unix epoch].
-        topic: Name relative to the namespace, or absolute.
-        data: Serialised message.
-    """
-
-    received_ns: int
-    topic: str
-    data: bytes
-
-
 MPU9250: Final = 2
 SIZE: Final = (WIDTH, HEIGHT)
 
@@ -131,21 +117,20 @@ BATCH_NS: Final = 4_000_000
 """The virtual sensor publishes truth and reference every 4 ms."""
 
 
-class TrialMessages:
-    """Simulates a trial and yields its messages in the order of their reception.
+class TrialWriter(StreamWriter):
+    """Writes a trial to a bag in order of reception.
 
     Args:
-        trial: A trial that has not begun.
+        bag: A bag that is open.
+        trial: Runs once.
     """
 
-    def __init__(self, trial: TrialStream) -> None:
+    def __init__(self, bag: McapBag, trial: TrialStream) -> None:
+        super().__init__(bag, SIZE)
         self._trial, self._clocks = trial, TrialClocks(trial.spec.trial_seed)
-        self._waiting: list[BagMessage] = []
-        self._serialize = typestore().serialize_cdr
-        self._packetizer, self._map = Packetizer(), ClockMap()
-        self._clock_due_ns = self._temperature_due_us = 0
-        self._packets = PacketWriter(topics.CAMERA_FRAME, SIZE)
-        self._sequence = self._reached_us = 0
+        self._waiting: list[tuple[int, Topic, Any]] = []
+        self._map = ClockMap()
+        self._clock_due_ns = self._temperature_due_us = self._reached_us = 0
         zero = np.zeros((1, 3))
         still = InertialSamples(np.zeros(1, np.int64), zero, zero, np.zeros(1))
         self._imu = messages.imu(still, 0, 0, topics.IMU_FRAME, blank_message)
@@ -153,27 +138,27 @@ class TrialMessages:
         self._wrench = topics.WrenchWriter(topics.CONTACT_FRAME)
         self._reference = topics.WrenchWriter(topics.REFERENCE_FRAME)
 
-    def __iter__(self) -> Iterator[BagMessage]:
-        """Yield all messages; only once."""
+    def write(self) -> None:
+        """Write the whole trial."""
         self._put_clock_fit()
         for stretch in self._trial.stretches():
             self._put_camera(stretch)
             self._put_truth(stretch)
             self._put_reference(stretch)
-            yield from self._received_before(self._clocks.epoch_ns + 1000 * stretch.end_us)
-        yield from self._received_before(1 << 63)
+            self._write_before(self._clocks.epoch_ns + 1000 * stretch.end_us)
+        self._write_before(1 << 63)
 
-    def _put(self, received_ns: int, topic: str, message: Any) -> None:  # noqa: ANN401
-        if not isinstance(message, bytes):
-            message = bytes(self._serialize(message, message.__msgtype__))
-        self._waiting.append(BagMessage(received_ns, topic, message))
+    def put(self, topic: Topic, received_ns: int, message: Any) -> None:  # noqa: ANN401
+        """Keep a message until everything that is received earlier is known."""
+        self._waiting.append((received_ns, topic, serialised(topic, message)))
 
-    def _received_before(self, until_ns: int) -> list[BagMessage]:
-        due = [message for message in self._waiting if message.received_ns < until_ns]
-        self._waiting = [message for message in self._waiting if message.received_ns >= until_ns]
-        # Those of one time keep their order.
-        due.sort(key=lambda message: message.received_ns)
-        return due
+    def _write_before(self, until_ns: int) -> None:
+        # A stable sort: messages that are received at one time keep the order of their making.
+        self._waiting.sort(key=lambda waiting: waiting[0])
+        due = sum(received_ns < until_ns for received_ns, _, _ in self._waiting)
+        for received_ns, topic, data in self._waiting[:due]:
+            super().put(topic, received_ns, data)
+        del self._waiting[:due]
 
     def _put_clock_fit(self) -> None:
         """Put the true relation of the clocks, which is published once."""
@@ -184,21 +169,21 @@ class TrialMessages:
         message.b = reference.offset_s
         message.camera_epoch = message.reference_epoch = 1e-9 * clocks.epoch_ns
         message.method, message.message = 'simulation', 'true relation of the clocks'
-        self._put(clocks.epoch_ns, topics.TRUTH_CLOCK_FIT.name, message)
+        self.put(topics.TRUTH_CLOCK_FIT, clocks.epoch_ns, message)
 
     def _put_truth(self, stretch: Stretch) -> None:
         truth = stretch.sensor.truth
         stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64)).tolist()
         for stamp_ns, wrench in zip(stamps_ns, truth_wrench(truth).tolist(), strict=True):
             data = self._wrench.serialised(stamp_ns, wrench)
-            self._put(_batch_end(stamp_ns), topics.TRUTH_WRENCH.name, data)
+            self.put(topics.TRUTH_WRENCH, _batch_end(stamp_ns), data)
         right, down = self._trial.sensor.contact_mm
         place, message = self._point.point, self._point
         place.x, place.y = 1e-3 * right, -1e-3 * down
         for stamp_ns, depth_m in zip(stamps_ns, (1e-3 * truth['depth_mm']).tolist(), strict=True):
             messages.set_header(message, stamp_ns, topics.CONTACT_FRAME)
             place.z = depth_m
-            self._put(_batch_end(stamp_ns), topics.TRUTH_CONTACT.name, message)
+            self.put(topics.TRUTH_CONTACT, _batch_end(stamp_ns), message)
 
     def _put_reference(self, stretch: Stretch) -> None:
         samples, sensor, epoch_ns = stretch.reference, self._trial.reference, self._clocks.epoch_ns
@@ -213,7 +198,7 @@ class TrialMessages:
         for measured_ns, stamp_ns, wrench in rows:
             received_ns = min(_batch_end(measured_ns), latest_ns)
             data = self._reference.serialised(stamp_ns, wrench)
-            self._put(received_ns, topics.REFERENCE, data)
+            self.put(topics.REFERENCE_WRENCH, received_ns, data)
 
     def _put_camera(self, stretch: Stretch) -> None:
         ends = np.arange(stretch.start_us, stretch.end_us, TRANSFER_US) + TRANSFER_US
@@ -221,7 +206,8 @@ class TrialMessages:
         self._put_events(stretch, ends, arrivals)
         for frame in stretch.sensor.frames:
             transfer = int(np.searchsorted(ends, frame.frame_end_us, side='right'))
-            self._put_frame(frame, int(arrivals[transfer]) + PUBLISH_NS)
+            received_ns = int(arrivals[transfer]) + PUBLISH_NS
+            self.frame(self._decoded(frame), self._clocks.origin_us, received_ns)
         if stretch.readings:
             self._put_samples(stretch, ends, arrivals)
 
@@ -235,11 +221,8 @@ class TrialMessages:
         reached = self._reached(stretch, ends, camera_us, cuts).tolist()
         first = 0
         for last, time_us, arrival_ns in zip(cuts, reached, arrivals.tolist(), strict=True):
-            packets = self._packetizer.push(published[first:last], time_us + origin_us, arrival_ns)
-            for packet in packets:
-                data = self._packets.write(packet.encode(), self._sequence, packet.arrival_ns)
-                self._put(arrival_ns + PUBLISH_NS, topics.EVENTS.name, data)
-                self._sequence += 1
+            due, until_us = published[first:last], time_us + origin_us
+            self.events(due, until_us, arrival_ns, delay_ns=PUBLISH_NS)
             self._put_clock(time_us, arrival_ns)
             first = last
 
@@ -270,16 +253,7 @@ class TrialMessages:
         camera_us = self._map.to_camera_us(arrival_ns) + self._clocks.origin_us
         serial = serial_number(self._trial.spec.device_seed)
         message = messages.camera_clock(arrival_ns, camera_us, serial, blank_message)
-        self._put(arrival_ns + PUBLISH_NS, topics.CAMERA_CLOCK.name, message)
-
-    def _put_frame(self, frame: ApsFrame, received_ns: int) -> None:
-        decoded, origin_us = self._decoded(frame), self._clocks.origin_us
-        image = messages.image(decoded, origin_us, 0, topics.CAMERA_FRAME, blank_message)
-        info = messages.camera_info(decoded, SIZE, image, blank_message)
-        exposure = messages.frame_exposure(decoded, origin_us, image, blank_message)
-        self._put(received_ns, topics.IMAGE_RAW.name, image)
-        self._put(received_ns, topics.CAMERA_INFO.name, info)
-        self._put(received_ns, topics.IMAGE_EXPOSURE.name, exposure)
+        self.put(topics.CAMERA_CLOCK, arrival_ns + PUBLISH_NS, message)
 
     def _decoded(self, frame: ApsFrame) -> Frame:
         """Return the frame as the driver's decoder has it."""
@@ -310,12 +284,12 @@ class TrialMessages:
             messages.set_header(message, 1000 * time_us, topics.IMU_FRAME)
             linear.x, linear.y, linear.z = force
             angular.x, angular.y, angular.z = rate
-            self._put(received_ns, topics.IMU.name, message)
+            self.put(topics.IMU, received_ns, message)
         for received_ns, time_us, celsius in zip(received, times_us, warm, strict=True):
             if time_us >= self._temperature_due_us:
                 self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
                 message = messages.temperature(celsius, time_us, topics.IMU_FRAME, blank_message)
-                self._put(received_ns, topics.TEMPERATURE.name, message)
+                self.put(topics.TEMPERATURE, received_ns, message)
 
 
 def _batch_end(measured_ns: int) -> int:

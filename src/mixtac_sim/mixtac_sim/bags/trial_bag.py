@@ -18,27 +18,12 @@ from typing import Final
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from mixtac_core.node import topics
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
 from mixtac_core.recordings.recording import RecordingError
-from mixtac_sim.bags.messages import TrialMessages
+from mixtac_sim.bags.messages import TrialWriter
 from mixtac_sim.world.trial import TrialStream
 
-NAMESPACE: Final = 'mixtac'
-BAG_TOPICS: Final = (
-    *(
-        topics.EVENTS,
-        topics.IMAGE_RAW,
-        topics.CAMERA_INFO,
-        topics.IMAGE_EXPOSURE,
-        topics.IMU,
-        topics.TEMPERATURE,
-        topics.CAMERA_CLOCK,
-    ),
-    *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH, topics.TRUTH_CONTACT, topics.TRUTH_CLOCK_FIT),
-)
-"""Topics in the order in which they are announced in the bag."""
 UNFINISHED: Final = '.unfinished'
 """Folder of half-written bags beside the finished ones."""
 
@@ -73,14 +58,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> Non
         writer.set_custom_data('mixtac.simulated', 'true')
         writer.set_custom_data('mixtac.trial', json.dumps(asdict(spec)))
         with writer:
-            connections = {
-                each.name: writer.add_topic(
-                    each.resolved(NAMESPACE), each.type_name, latched=each.latched
-                )
-                for each in BAG_TOPICS
-            }
-            for message in TrialMessages(trial):
-                writer.write(connections[message.topic], message.received_ns, message.data)
+            TrialWriter(writer, trial).write()
         partial.rename(folder / spec.name)
     except OSError as error:
         raise RecordingError(

@@ -370,6 +370,7 @@ class SimulationProcess:
         atexit.register(self._process.kill)
         theirs.close()
         self._profile = LiveProfile()
+        self._plays = self._profile.plays
         # Calls of the sensor that go with the next request.
         self._calls: list[tuple[str, Any]] = []
 
@@ -401,10 +402,11 @@ class SimulationProcess:
         Raises:
             SimulationError: The process has ended.
         """
-        plays = self._profile.changes()
+        plays, self._plays = self._plays, self._profile.plays
+        changed = None if plays is self._plays else self._plays
         calls, self._calls = self._calls, []
         try:
-            self._pipe.send((plays, calls, until_us))
+            self._pipe.send((changed, calls, until_us))
             out: SensorOutput = self._pipe.recv()
         except (EOFError, OSError) as error:
             raise SimulationError('the process of the simulation has ended') from error
@@ -423,7 +425,7 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
         while True:
             plays, calls, until_us = pipe.recv()
             if plays is not None:
-                profile.replace(plays)
+                profile.plays = plays
             for name, settings in calls:
                 getattr(sensor, name)(settings)
             pipe.send(sensor.advance(until_us))

@@ -12,16 +12,17 @@ import struct
 import sys
 import time
 from collections.abc import Callable, Iterable
+from errno import EBUSY, ENODEV, EPIPE, ETIMEDOUT
 from threading import Condition
 from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from usb.core import USBError, USBTimeoutError
 
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
-from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout
 from mixtac_sim.usb.registers import (
     CLOCK_DEVIATION,
     USB_MHZ,
@@ -126,8 +127,8 @@ class VirtualDavis346:
             The response; empty for requests to the device.
 
         Raises:
-            UsbStall: The device does not know the request or refuses its content.
-            UsbGone: The device was unplugged.
+            USBError: EPIPE, the device does not know the request or refuses its content; or ENODEV,
+                it was unplugged.
         """
         with self._condition:
             self.check_present()
@@ -153,12 +154,12 @@ class VirtualDavis346:
             Whole words, at least one.
 
         Raises:
-            UsbTimeout: Nothing came in time.
-            UsbStall: There is no such endpoint.
-            UsbGone: The device was unplugged.
+            USBTimeoutError: Nothing came in time.
+            USBError: EPIPE, there is no such endpoint; or ENODEV, the device was unplugged.
         """
         if endpoint not in _ENDPOINTS:
-            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
+            text = f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81'
+            raise USBError(text, errno=EPIPE)
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         most, fifo = length & ~1, self._stream.fifo
         with self._condition:
@@ -175,7 +176,8 @@ class VirtualDavis346:
                     del fifo[:most]
                     return data
                 if now >= deadline:
-                    raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
+                    text = f'no data on endpoint {endpoint:#04x} within {timeout_s} s'
+                    raise USBTimeoutError(text, errno=ETIMEDOUT)
                 self._wanted = min(self._wanted, most)
                 self._condition.wait(min(ready_at, deadline, now + _LONGEST_WAIT_S) - now)
 
@@ -192,24 +194,26 @@ class VirtualDavis346:
             plugs: What `plugs` was when the session began; None for any.
 
         Raises:
-            UsbGone: It was unplugged, now or since then.
+            USBError: ENODEV, it was unplugged, now or since then.
         """
         with self._condition:
             if not self._present:
-                raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
-            if plugs is not None and plugs != self._plugs:
-                raise UsbGone('the virtual camera was unplugged; open it again')
+                text = 'the virtual camera was unplugged; start the virtual sensor again'
+                raise USBError(text, errno=ENODEV)
+            if plugs not in (None, self._plugs):
+                raise USBError('the virtual camera was unplugged; open it again', errno=ENODEV)
 
     def claim(self, owner: Session) -> None:
         """Give the interface to one session.
 
         Raises:
-            UsbBusy: Another session has it.
+            USBError: EBUSY, another session has it.
         """
         with self._condition:
             self.check_present()
             if self._owner not in {None, owner}:
-                raise UsbBusy('the virtual camera is in use by another program; close that one')
+                text = 'the virtual camera is in use by another program; close that one'
+                raise USBError(text, errno=EBUSY)
             self._owner = owner
 
     def release(self, owner: Session) -> None:
@@ -310,8 +314,8 @@ class VirtualDavis346:
     def losses(self) -> dict[str, int]:
         """Losses since power-up: events and frames that found the buffer full."""
         with self._condition:
-            count = self._registers.statistic
-            dropped = count(Module.MUX, Mux.DVS_DROPPED) + count(Module.DVS, Dvs.DROPPED)
+            counts = self._registers.counts
+            dropped = counts[Module.MUX, Mux.DVS_DROPPED] + counts[Module.DVS, Dvs.DROPPED]
             return {'events_dropped': dropped, 'frames_dropped': self._stream.frames_dropped}
 
     # Internal; the lock is held.
@@ -357,7 +361,7 @@ class VirtualDavis346:
             answer = endpoints.descriptor(value >> 8, value & 0xFF, self.serial)
             if answer is not None:
                 return answer
-        raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
+        raise USBError(f'unknown request {request_type:#04x}/{request:#04x}', errno=EPIPE)
 
     def _obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
         """Carry out a request that sends data or none."""
@@ -370,9 +374,10 @@ class VirtualDavis346:
         elif not request_type & _TYPE_MASK and request == _SET_CONFIGURATION and value < 2:
             self._configuration = value
         elif request_type & _TYPE_MASK or request != _CLEAR_FEATURE:
-            raise UsbStall(
+            text = (
                 f'unknown request {request_type:#04x}/{request:#04x} of {value} with {size} bytes'
             )
+            raise USBError(text, errno=EPIPE)
 
     def _write(self, module: int, param: int, value: int) -> None:
         before = self._registers.read(module, param)
@@ -419,7 +424,7 @@ class Session:
         return self._device.read_bulk(endpoint, length, timeout_ms / 1000 or None)
 
     def claim(self) -> None:
-        """Claim the interface for this session; `UsbBusy` if another one has it."""
+        """Claim the interface for this session; EBUSY if another one has it."""
         self._device.check_present(self._plugs)
         self._device.claim(self)
 

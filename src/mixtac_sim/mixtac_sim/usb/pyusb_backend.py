@@ -4,8 +4,7 @@
 
 The camera is reached through a link, which is one session of a host: `SocketLink` talks to a server
 in another process (entry point `virtual` of `mixtac.usb_backends`), `Session` calls a device in
-this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where real USB would fail in
-the same way.
+this one. Both raise the errors of pyusb where real USB would fail in the same way.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 
@@ -13,22 +12,16 @@ from __future__ import annotations
 
 import socket
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from errno import ENODEV, ETIMEDOUT
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
+from mixtac_sim import SimulationError
 from mixtac_sim.usb import endpoints, wire
-from mixtac_sim.usb.errors import (
-    NoVirtualSensorError,
-    UsbBusy,
-    UsbGone,
-    UsbStall,
-    UsbTimeout,
-    VirtualUsbError,
-)
 
 if TYPE_CHECKING:
     from array import array
@@ -43,16 +36,6 @@ _GET_DESCRIPTOR: Final = 6
 _SUPER_SPEED: Final = 4
 # Bus number to show; no real bus has it.
 _BUS: Final = 346
-
-
-@contextmanager
-def _as_usb_errors() -> Iterator[None]:
-    try:
-        yield
-    except UsbTimeout as error:
-        raise USBTimeoutError(str(error), errno=error.errno) from error
-    except VirtualUsbError as error:
-        raise USBError(str(error), errno=error.errno) from error
 
 
 def _described(fields: Mapping[str, int], **more: object) -> SimpleNamespace:
@@ -80,7 +63,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
                 link.control((0x80, _GET_DESCRIPTOR, 0x0100, 0), endpoints.DEVICE['bLength'])
             finally:
                 link.close()
-        except VirtualUsbError:
+        except USBError:
             return
         yield 'virtual'
 
@@ -107,8 +90,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     def open_device(self, dev: object) -> Link:
         """Start a host session."""
-        with _as_usb_errors():
-            return self._connect()
+        return self._connect()
 
     def close_device(self, dev_handle: Link) -> None:
         """End a host session."""
@@ -116,32 +98,27 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     def set_configuration(self, dev_handle: Link, config_value: int) -> None:
         """Choose a configuration."""
-        with _as_usb_errors():
-            dev_handle.control((0x00, 9, config_value, 0), b'')
+        dev_handle.control((0x00, 9, config_value, 0), b'')
 
     def get_configuration(self, dev_handle: Link) -> int:
         """Return the value of the active configuration."""
-        with _as_usb_errors():
-            return dev_handle.control((0x80, 8, 0, 0), 1)[0]
+        return dev_handle.control((0x80, 8, 0, 0), 1)[0]
 
     def claim_interface(self, dev_handle: Link, intf: int) -> None:
         """Claim the interface for this session."""
-        with _as_usb_errors():
-            dev_handle.claim()
+        dev_handle.claim()
 
     def release_interface(self, dev_handle: Link, intf: int) -> None:
         """Give the interface back."""
-        with _as_usb_errors():
-            dev_handle.release()
+        dev_handle.release()
 
     def bulk_read(
         self, dev_handle: Link, ep: int, intf: int, buff: array[int], timeout: int
     ) -> int:
         """Read from an endpoint into the buffer; return the number of bytes."""
-        with _as_usb_errors():
-            data = dev_handle.read(ep, buff.itemsize * len(buff), timeout)
-            memoryview(buff).cast('B')[: len(data)] = data
-            return len(data)
+        data = dev_handle.read(ep, buff.itemsize * len(buff), timeout)
+        memoryview(buff).cast('B')[: len(data)] = data
+        return len(data)
 
     # The debug endpoint is read like the data endpoint.
     intr_read = bulk_read
@@ -157,20 +134,18 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         timeout: int,
     ) -> int:
         """Make a control request; return the number of bytes moved."""
-        with _as_usb_errors():
-            view: Any = memoryview(data).cast('B')
-            setup = (bmRequestType, bRequest, wValue, wIndex)
-            if not bmRequestType & 0x80:
-                dev_handle.control(setup, bytes(view))
-                return len(view)
-            answer = dev_handle.control(setup, len(view))
-            view[: len(answer)] = answer
-            return len(answer)
+        view: Any = memoryview(data).cast('B')
+        setup = (bmRequestType, bRequest, wValue, wIndex)
+        if not bmRequestType & 0x80:
+            dev_handle.control(setup, bytes(view))
+            return len(view)
+        answer = dev_handle.control(setup, len(view))
+        view[: len(answer)] = answer
+        return len(answer)
 
     def clear_halt(self, dev_handle: Link, ep: int) -> None:
         """Clear a halted endpoint."""
-        with _as_usb_errors():
-            dev_handle.control((0x02, 1, 0, ep), b'')
+        dev_handle.control((0x02, 1, 0, ep), b'')
 
 
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
@@ -182,7 +157,6 @@ def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
 
 # Longest wait for what the server answers at once, and for an answer after the time-out of a read.
 _GRACE_S: Final = 5.0
-_ERRORS: Final = {kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy)}
 
 
 class SocketLink:
@@ -192,7 +166,7 @@ class SocketLink:
         path: Where the server listens.
 
     Raises:
-        NoVirtualSensorError: No virtual sensor listens there.
+        USBError: ENODEV, no virtual sensor listens there.
     """
 
     def __init__(self, path: str) -> None:
@@ -219,9 +193,9 @@ class SocketLink:
         self._request(wire.RELEASE)
 
     def close(self) -> None:
-        """End the session; a read that waits ends with `UsbGone`."""
+        """End the session; a read that waits ends with ENODEV."""
         # The server notices a closed connection only later; the next host must not wait.
-        with suppress(VirtualUsbError):
+        with suppress(USBError):
             self.release()
         for connection in (self._requests, self._reads):
             with suppress(OSError):
@@ -241,10 +215,12 @@ class SocketLink:
             connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
             return wire.call(connection, *request)
         except wire.TransferError as error:
-            kind = _ERRORS.get(error.errno or 0, VirtualUsbError)
-            raise kind(f'virtual camera on {self._path}: {error.strerror}') from error
+            kind = USBTimeoutError if error.errno == ETIMEDOUT else USBError
+            text = f'virtual camera on {self._path}: {error.strerror}'
+            raise kind(text, errno=error.errno) from error
         except OSError as error:
-            raise UsbGone(f'virtual camera on {self._path} is gone: {error}') from error
+            text = f'virtual camera on {self._path} is gone: {error}'
+            raise USBError(text, errno=ENODEV) from error
 
 
 def _connect(path: str) -> socket.socket:
@@ -253,10 +229,7 @@ def _connect(path: str) -> socket.socket:
         connection.connect(path)
     except OSError as error:
         connection.close()
-        raise NoVirtualSensorError(
-            f'no virtual sensor listens on {path}',
-            remedy='wait until it has started, or name its socket: virtual:PATH',
-        ) from error
+        raise USBError(f'no virtual sensor listens on {path}', errno=ENODEV) from error
     return connection
 
 
@@ -267,8 +240,14 @@ def open_backend(device: str) -> VirtualBackend:
         device: ``virtual`` for the socket of this user and ROS domain, or ``virtual:PATH``.
 
     Raises:
-        NoVirtualSensorError: No virtual sensor listens there.
+        SimulationError: No virtual sensor listens there.
     """
     path = device.partition(':')[2] or wire.default_socket_path()
-    SocketLink(path).close()
+    try:
+        SocketLink(path).close()
+    except USBError as error:
+        raise SimulationError(
+            f'no virtual sensor listens on {path}',
+            remedy='wait until it has started, or name its socket: virtual:PATH',
+        ) from error
     return VirtualBackend(lambda: SocketLink(path))

@@ -164,41 +164,34 @@ _POWER_UP: Final[Mapping[tuple[int, int], int]] = MappingProxyType(
         **{(Module.DVS, Dvs.FIRST_PIXEL_ROW + k): (HEIGHT, WIDTH)[k % 2] for k in range(16)},
     }
 )
-_STATISTICS: Final = {
-    (module, param + half)
-    for module, param in (
-        (Module.MUX, Mux.DVS_DROPPED),
-        (Module.DVS, Dvs.ROW_EVENTS),
-        (Module.DVS, Dvs.COLUMN_EVENTS),
-        (Module.DVS, Dvs.DROPPED),
-        (Module.DVS, Dvs.FILTERED_PIXELS),
-    )
-    for half in (0, 1)
-}
+_STATISTICS: Final = (
+    (Module.MUX, Mux.DVS_DROPPED),
+    (Module.DVS, Dvs.ROW_EVENTS),
+    (Module.DVS, Dvs.COLUMN_EVENTS),
+    (Module.DVS, Dvs.DROPPED),
+    (Module.DVS, Dvs.FILTERED_PIXELS),
+)
 
 
 class RegisterFile:
-    """All registers of one camera. Not thread safe: the device guards it."""
+    """Values of all registers; unknown ones read 0 until they are written.
+
+    Attributes:
+        counts: 64-bit statistics by module and first parameter; hosts cannot write them.
+    """
 
     def __init__(self) -> None:
+        self.counts: dict[tuple[int, int], int] = dict.fromkeys(_STATISTICS, 0)
         self._values = {**_POWER_UP, **_READ_ONLY}
 
     def read(self, module: int, param: int) -> int:
-        """Return a register; what was never written and has no default reads 0."""
+        """Return a value."""
+        for first, shift in ((param, 32), (param - 1, 0)):
+            if (module, first) in self.counts:
+                return self.counts[module, first] >> shift & _MASK
         return self._values.get((module, param), 0)
 
     def write(self, module: int, param: int, value: int) -> None:
-        """Store a register; writes to read-only registers and statistics have no effect."""
-        key = (module, param)
-        if key not in _READ_ONLY and key not in _STATISTICS:
-            self._values[key] = value & _MASK
-
-    def statistic(self, module: int, param: int) -> int:
-        """Return the 64-bit statistic whose upper half is at ``param``."""
-        return self.read(module, param) << 32 | self.read(module, param + 1)
-
-    def count(self, module: int, param: int, amount: int) -> None:
-        """Add to the 64-bit statistic whose upper half is at ``param``."""
-        total = self.statistic(module, param) + amount
-        self._values[module, param] = total >> 32 & _MASK
-        self._values[module, param + 1] = total & _MASK
+        """Write 32 bits; read-only registers stay as they are."""
+        if (module, param) not in _READ_ONLY:
+            self._values[module, param] = value & _MASK

@@ -16,9 +16,11 @@ from errno import ECONNREFUSED
 from pathlib import Path
 from typing import Final
 
+from usb.core import USBError, USBTimeoutError
+
+from mixtac_sim import SimulationError
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import Session, VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout, VirtualUsbError
 
 # Longest wait of a read in the device before the server checks that the host is still there.
 _SLICE_MS: Final = 250
@@ -39,7 +41,7 @@ class UsbServer(socketserver.ThreadingUnixStreamServer):
         path: Socket to listen on.
 
     Raises:
-        VirtualUsbError: Another program uses the path, or it cannot be used.
+        SimulationError: Another program uses the path, or it cannot be used.
     """
 
     daemon_threads = True
@@ -52,7 +54,7 @@ class UsbServer(socketserver.ThreadingUnixStreamServer):
             Path(path).unlink(missing_ok=True)
             super().__init__(path, _Connection)
         except OSError as error:
-            raise VirtualUsbError(
+            raise SimulationError(
                 f'cannot listen on {path}: {error.strerror or error}',
                 remedy='choose another socket',
             ) from error
@@ -89,7 +91,7 @@ class _Connection(socketserver.BaseRequestHandler):
                     status, answer = 0, b''
                     try:
                         answer = self._answer(session, wire.REQUEST.unpack(data))
-                    except VirtualUsbError as error:
+                    except USBError as error:
                         status = error.errno
                     self.request.sendall(wire.REPLY.pack(status, len(answer)) + answer)
         finally:
@@ -111,7 +113,7 @@ class _Connection(socketserver.BaseRequestHandler):
             left_ms = math.ceil(1000 * (deadline - time.monotonic())) if timeout_ms else _SLICE_MS
             try:
                 return session.read(endpoint, length, min(max(left_ms, 1), _SLICE_MS))
-            except UsbTimeout:
+            except USBTimeoutError:
                 if time.monotonic() >= deadline:
                     raise
             # The host sends nothing while it waits: anything readable is its hang-up.
@@ -123,7 +125,7 @@ def check_free(path: str) -> None:
     """Refuse a path that cannot be served; call it before a long preparation.
 
     Raises:
-        VirtualUsbError: It holds anything but a socket of a program that has ended.
+        SimulationError: It holds anything but a socket of a program that has ended.
     """
     if not os.path.lexists(path):
         return
@@ -133,7 +135,7 @@ def check_free(path: str) -> None:
             # Nobody answers on a socket that was left over.
             if probe.connect_ex(path) == ECONNREFUSED and Path(path).is_socket():
                 return
-    raise VirtualUsbError(
+    raise SimulationError(
         f'{path} is in use, or is no socket',
         remedy='stop the program that uses it, or give the virtual sensor another socket or '
         'ROS_DOMAIN_ID',

@@ -23,12 +23,12 @@ from mixtac_sim.usb.registers import Aps, Dvs, Imu, Module, Mux, RegisterFile, U
 from mixtac_sim.usb.words import (
     ROW_WORD,
     TIMESTAMP_RESET_WORD,
-    Blocks,
     ImuReading,
     ImuSettings,
+    TimedWords,
     WordEncoder,
-    frame_blocks,
-    imu_blocks,
+    frame_words,
+    imu_words,
 )
 
 FILTER_REGISTERS = range(Dvs.FIRST_PIXEL_ROW, Dvs.SUPPRESS_TYPE + 1)
@@ -143,7 +143,7 @@ class StreamAssembler:
         self._registers = registers
         self._oscillator = oscillator
         self._encoder = WordEncoder()
-        self._readout = Blocks.empty()
+        self._readout = TimedWords.at(0)
         self.snapshot = False
         self.fifo.clear()
         self.settings_changed()
@@ -197,17 +197,17 @@ class StreamAssembler:
     def advance(self, true_us: int) -> None:
         """Send everything with a time before ``true_us`` [us, true time]."""
         events = self._due_events(true_us)
-        blocks = self._due_blocks(true_us)
+        others = self._due_words(true_us)
         if not self.running:
-            self._readout = Blocks.empty()
+            self._readout = TimedWords.at(0)
             self.fifo.clear()
             return
         if not self._registers.read(Module.DVS, Dvs.RUN):
             events = Events.empty()
         else:
             events, filtered = self._filter.apply(events)
-            self._registers.count(Module.DVS, Dvs.FILTERED_PIXELS, filtered)
-        self._send(events, blocks, self._oscillator.now(true_us))
+            self._registers.counts[Module.DVS, Dvs.FILTERED_PIXELS] += filtered
+        self._send(events, others, self._oscillator.now(true_us))
 
     def _due_events(self, true_us: int) -> Events:
         parts = []
@@ -222,32 +222,26 @@ class StreamAssembler:
         camera_us = self._oscillator.to_camera(events.t)
         return Events(camera_us, events.x, events.y, events.polarity)
 
-    def _due_blocks(self, true_us: int) -> Blocks:
+    def _due_words(self, true_us: int) -> TimedWords:
         frames = []
         while self._frames and self._frames[0].frame_start_us < true_us:
             frames.append(self._begin_frame(self._frames.popleft()))
         if frames:
-            self._readout = Blocks.merge([self._readout, *frames])
+            self._readout = TimedWords.merge([self._readout, *frames])
         # What is left of a frame is large: it is cut first, and small things join what is due.
         due, self._readout = self._readout.split(true_us)
-        samples = self._due_samples(true_us)
-        if samples:
-            due = Blocks.merge([due, *samples])
-        self.done_us = true_us
-        return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
-
-    def _due_samples(self, true_us: int) -> list[Blocks]:
-        samples, settings = list[Blocks](), self.imu_settings()
+        settings = self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                samples.append(imu_blocks(reading, settings))
-        return samples
+                due = TimedWords.merge([due, imu_words(reading, settings)])
+        self.done_us = true_us
+        return TimedWords(self._oscillator.to_camera(due.t), due.words)
 
-    def _begin_frame(self, frame: ApsFrame) -> Blocks:
+    def _begin_frame(self, frame: ApsFrame) -> TimedWords:
         run = self._registers.read(Module.APS, Aps.RUN)
         if not (run or self.snapshot) or frame.frame_start_us < self._oscillator.origin_us:
-            return Blocks.empty()
+            return TimedWords.at(0)
         self.snapshot = False
 
         def read(param: int) -> int:
@@ -258,7 +252,7 @@ class StreamAssembler:
             *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
         )
         cycles, shutter = read(Aps.EXPOSURE), bool(read(Aps.GLOBAL_SHUTTER))
-        return frame_blocks(frame, region, cycles, global_shutter=shutter)
+        return frame_words(frame, region, cycles, global_shutter=shutter)
 
     def imu_settings(self) -> ImuSettings:
         """Return what the registers ask of the inertial unit."""
@@ -274,23 +268,23 @@ class StreamAssembler:
             gyro_scale=read(Imu.GYRO_FULL_SCALE) & 3,
         )
 
-    def _send(self, events: Events, blocks: Blocks, until_us: int) -> None:
+    def _send(self, events: Events, others: TimedWords, until_us: int) -> None:
         before = self._encoder.state.copy()
         if len(self.fifo) > _EVENT_SHARE * self._capacity:
             self._count_dropped(len(events))
             events = Events.empty()
-        words = self._encoder.encode(events, blocks, until_us)
+        words = self._encoder.encode(events, others, until_us)
         if self.push(words):
             rows = int(np.count_nonzero(words & 0xF000 == ROW_WORD))
-            self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
-            self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
+            self._registers.counts[Module.DVS, Dvs.ROW_EVENTS] += rows
+            self._registers.counts[Module.DVS, Dvs.COLUMN_EVENTS] += len(events)
             return
         self._encoder.state[:] = before
         self._count_dropped(len(events))
-        self.frames_dropped += bool(len(blocks.t) or len(self._readout.t))
-        self._readout = Blocks.empty()
+        self.frames_dropped += bool(len(others.t) or len(self._readout.t))
+        self._readout = TimedWords.at(0)
 
     def _count_dropped(self, events: int) -> None:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)
-        module, param = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
-        self._registers.count(module, param, events)
+        place = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
+        self._registers.counts[place] += events

@@ -9,8 +9,9 @@ A timestamp word precedes a stamped word only when the time changed; a wrap word
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -33,76 +34,37 @@ _ROW: Final = 2
 _ROW_TIME: Final = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
-    """Readout words that belong together, cut where other words may come between.
+class TimedWords(NamedTuple):
+    """Words of frames and inertial samples.
 
     Attributes:
-        t: Time of each block [us, int64, camera clock], non-decreasing.
-        stamped: Whether the first word of the block is one that the FPGA stamps.
-        end: One past each block's last word in ``words``.
-        words: ``uint16`` stream words of all blocks.
+        t: Time of each word [us, int64, camera clock], non-decreasing.
+        words: ``uint16`` stream words.
     """
 
     t: NDArray[np.int64]
-    stamped: NDArray[np.bool_]
-    end: NDArray[np.int64]
     words: NDArray[np.uint16]
 
-    @classmethod
-    def empty(cls) -> Blocks:
-        """Return no blocks."""
-        return cls.from_lists([], [], [])
+    @staticmethod
+    def at(t_us: int, *words: int) -> TimedWords:
+        """Return words that have one time."""
+        return TimedWords(np.full(len(words), t_us, np.int64), np.array(words, np.uint16))
 
-    @classmethod
-    def from_lists(cls, times: list[int], stamped: list[bool], words: list[list[int]]) -> Blocks:
-        """Build blocks from one entry per block."""
-        flat = [word for block in words for word in block]
-        ends = np.cumsum([len(block) for block in words], dtype=np.int64)
-        return cls(
-            np.array(times, np.int64), np.array(stamped, np.bool_), ends, np.array(flat, np.uint16)
-        )
+    @staticmethod
+    def merge(parts: Sequence[TimedWords]) -> TimedWords:
+        """Return the words of all parts in order of time; equal times keep the order given."""
+        t, words = map(np.concatenate, zip(*parts, strict=True))
+        if (t[1:] < t[:-1]).any():
+            order = np.argsort(t, kind='stable')
+            t, words = t[order], words[order]
+        return TimedWords(t, words)
 
-    @classmethod
-    def merge(cls, parts: list[Blocks]) -> Blocks:
-        """Return the blocks of all parts in order of time; equal times keep the order given."""
-        parts = [part for part in parts if len(part.t)]
-        if not parts:
-            return cls.empty()
-        offsets = np.cumsum([0] + [len(part.words) for part in parts])
-        t = np.concatenate([part.t for part in parts])
-        end = np.concatenate([part.end + at for part, at in zip(parts, offsets, strict=False)])
-        order = np.argsort(t, kind='stable')
-        words = np.concatenate([part.words for part in parts])
-        stamped = np.concatenate([part.stamped for part in parts])
-        if np.array_equal(order, np.arange(len(t))):
-            return cls(t, stamped, end, words)
-        return cls(t[order], stamped[order], *_reordered(words, end, order))
-
-    def split(self, before_us: int) -> tuple[Blocks, Blocks]:
-        """Cut into the blocks before a time [us, camera clock] and the rest."""
+    def split(self, before_us: int) -> tuple[TimedWords, TimedWords]:
+        """Cut into the words before a time [us, camera clock] and the rest."""
         cut = int(np.searchsorted(self.t, before_us))
-        word = int(self.end[cut - 1]) if cut else 0
-        early = Blocks(self.t[:cut], self.stamped[:cut], self.end[:cut], self.words[:word])
-        late = Blocks(self.t[cut:], self.stamped[cut:], self.end[cut:] - word, self.words[word:])
-        return early, late
-
-
-@njit(cache=True, nogil=True)
-def _reordered(
-    words: NDArray[np.uint16], end: NDArray[np.int64], order: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
-    out = np.empty_like(words)
-    ends = np.empty_like(end)
-    n = 0
-    for k in range(len(order)):
-        block = order[k]
-        start = end[block - 1] if block > 0 else 0
-        for i in range(start, end[block]):
-            out[n] = words[i]
-            n += 1
-        ends[k] = n
-    return ends, out
+        return TimedWords(self.t[:cut], self.words[:cut]), TimedWords(
+            self.t[cut:], self.words[cut:]
+        )
 
 
 @njit(cache=True, nogil=True)
@@ -144,25 +106,20 @@ def _encode(
     row: NDArray[np.uint16],
     column: NDArray[np.uint16],
     on: NDArray[np.bool_],
-    block_t: NDArray[np.int64],
-    stamped: NDArray[np.bool_],
-    end: NDArray[np.int64],
+    word_t: NDArray[np.int64],
     words: NDArray[np.uint16],
     state: NDArray[np.int64],
     out: NDArray[np.uint16],
 ) -> int:
     n = 0
-    block = 0
-    start = 0
+    k = 0
     for i in range(len(t) + 1):
-        while block < len(block_t) and (i == len(t) or block_t[block] < t[i]):
-            if stamped[block]:
-                n = _stamp(block_t[block], state, out, n)
-            for k in range(start, end[block]):
-                out[n] = words[k]
-                n += 1
-            start = end[block]
-            block += 1
+        while k < len(word_t) and (i == len(t) or word_t[k] < t[i]):
+            if words[k] < ROW_WORD:  # the FPGA stamps special words, but no data
+                n = _stamp(word_t[k], state, out, n)
+            out[n] = words[k]
+            n += 1
+            k += 1
         if i < len(t):
             n = _row(t[i], row[i], state, out, n)
             out[n] = _COLUMN_WORD | column[i] | (_ON if on[i] else 0)
@@ -171,7 +128,7 @@ def _encode(
 
 
 class WordEncoder:
-    """Turns events and readout blocks into one continuous word stream.
+    """Turns events, frames and inertial samples into one continuous word stream.
 
     Row words carry x and column words y, as in the retail chip.
 
@@ -183,21 +140,19 @@ class WordEncoder:
         self.state = np.zeros(4, np.int64)
         self._out = np.empty(1 << 16, np.uint16)
         self.reset()
-        # The first calls compile, or load what was compiled: not while data wait.
-        self.encode(Events.empty(), Blocks.empty(), 0)
-        pair = Blocks.from_lists([0, 0], [True, True], [[0], [0]])
-        _reordered(pair.words, pair.end, np.zeros(2, np.int64))
+        # The first call compiles, or loads what was compiled: not while data wait.
+        self.encode(Events.empty(), TimedWords.at(0), 0)
 
     def reset(self) -> None:
         """Restart time at zero; the caller sends the reset word."""
         self.state[:] = (0, 0, -1, -1)
 
-    def encode(self, events: Events, blocks: Blocks, until_us: int) -> NDArray[np.uint16]:
+    def encode(self, events: Events, others: TimedWords, until_us: int) -> NDArray[np.uint16]:
         """Encode everything up to a time, wraps included.
 
         Args:
             events: Sorted by ``t`` [us, camera clock].
-            blocks: Readout blocks sorted by time.
+            others: Words of frames and inertial samples.
             until_us: Time [us, camera clock] up to which wraps are due.
 
         Returns:
@@ -205,14 +160,10 @@ class WordEncoder:
         """
         last_us = max(until_us, int(events.t[-1]) if len(events) else 0)
         wraps = max(0, last_us - int(self.state[_BASE])) // _WRAP_US + 2
-        needed = 3 * len(events) + len(blocks.t) + len(blocks.words) + wraps
+        needed = 3 * len(events) + 2 * len(others.t) + wraps
         if needed > len(self._out):
             self._out = np.empty(2 * needed, np.uint16)
-        count = _encode(
-            *(events.t, events.x, events.y, events.polarity),
-            *(blocks.t, blocks.stamped, blocks.end, blocks.words),
-            *(self.state, self._out),
-        )
+        count = _encode(*events.fields, *others, self.state, self._out)
         return self._out[: _wrap(until_us, self.state, self._out, count)]
 
 
@@ -291,7 +242,7 @@ def raw_values(reading: ImuReading, settings: ImuSettings) -> list[int]:
     return values
 
 
-def imu_blocks(reading: ImuReading, settings: ImuSettings) -> Blocks:
+def imu_words(reading: ImuReading, settings: ImuSettings) -> TimedWords:
     """Lay one sample out at its time: start, info byte, big-endian values, end.
 
     Args:
@@ -299,9 +250,8 @@ def imu_blocks(reading: ImuReading, settings: ImuSettings) -> Blocks:
         settings: Registers now; at least one group runs.
     """
     values = raw_values(reading, settings)
-    data = struct.pack(f'>{len(values)}h', *values)
-    words = [_START, _INFO | settings.info, *(_BYTE | byte for byte in data)]
-    return Blocks.from_lists([reading.t_us] * 2, [True, True], [words, [_END]])
+    data = (_BYTE | byte for byte in struct.pack(f'>{len(values)}h', *values))
+    return TimedWords.at(reading.t_us, _START, _INFO | settings.info, *data, _END)
 
 
 _GLOBAL_START: Final = 8
@@ -316,34 +266,24 @@ _ADC_WORD: Final = 0x4000
 _EXPOSURE_WORD: Final = 0x6000
 _REGION_HIGH: Final = 0x5100
 _REGION_LOW: Final = 0x5200
-# Event words come between the samples of a column on the real bus; pieces of this many samples
-# keep that true without a block per sample.
-_SAMPLES_PER_BLOCK: Final = 58
+# Event words come between the samples of a column on the real bus; pieces of this many samples,
+# each at one time, keep that true.
+_SAMPLES_PER_PIECE: Final = 58
 
 
-def _column_words(columns: NDArray[np.uint16], special: int) -> NDArray[np.uint16]:
-    words = np.empty((columns.shape[0], columns.shape[1] + 2), np.uint16)
+def _columns(
+    samples: NDArray[np.uint16], special: int, start_us: NDArray[np.int64], span: float
+) -> TimedWords:
+    """Return the words of columns, each cut in pieces that are spread over ``span`` us."""
+    count, length = samples.shape
+    words = np.empty((count, length + 2), np.uint16)
     words[:, 0] = special
-    words[:, 1:-1] = (columns & 0x3FF) | _ADC_WORD
+    words[:, 1:-1] = (samples & 0x3FF) | _ADC_WORD
     words[:, -1] = _COLUMN_END
-    return words
-
-
-def _column_blocks(words: NDArray[np.uint16], start_us: NDArray[np.int64], span: float) -> Blocks:
-    """Cut the words of each column in pieces and spread them over ``span`` us."""
-    count, length = words.shape
-    inner = np.arange(1, length - 1, _SAMPLES_PER_BLOCK)
-    cuts = np.concatenate(((0,), inner, (length - 1,)))
-    offsets = np.floor(cuts / (length - 1) * span).astype(np.int64)
-    ends = np.concatenate((cuts[1:], (length,)))
-    stamped = np.zeros(len(cuts), np.bool_)
-    stamped[[0, -1]] = True
-    return Blocks(
-        (start_us[:, None] + offsets).ravel(),
-        np.tile(stamped, count),
-        (np.arange(count)[:, None] * length + ends).ravel().astype(np.int64),
-        words.ravel(),
-    )
+    pieces = 1 + np.arange(length) // _SAMPLES_PER_PIECE * _SAMPLES_PER_PIECE
+    begin = np.concatenate(((0,), pieces, (length + 1,)))
+    offsets = np.floor(begin / (length + 1) * span).astype(np.int64)
+    return TimedWords((start_us[:, None] + offsets).ravel(), words.ravel())
 
 
 Region: TypeAlias = tuple[int, int, int, int]
@@ -358,13 +298,9 @@ def _header(region: Region, exposure_cycles: int, *, global_shutter: bool) -> li
     return words
 
 
-def _single(t: int, *words: int) -> Blocks:
-    return Blocks.from_lists([t], [True], [list(words)])
-
-
-def frame_blocks(
+def frame_words(
     frame: ApsFrame, region: Region, exposure_cycles: int, *, global_shutter: bool
-) -> Blocks:
+) -> TimedWords:
     """Lay a frame out as the camera reads it; times are those of the frame.
 
     Args:
@@ -374,15 +310,14 @@ def frame_blocks(
         global_shutter: All reset columns before the exposure, all signal columns after it.
 
     Returns:
-        Blocks in readout order; an empty region gives a frame without columns.
+        Words in readout order; an empty region gives a frame without columns.
     """
     start, exposed = frame.frame_start_us, frame.exposure_start_us
     closed, end = frame.exposure_end_us, frame.frame_end_us
     left, top, right, bottom = region
     # A column of the readout is a row of the picture.
     part = slice(top, bottom + 1), slice(left, right + 1)
-    resets = _column_words(frame.reset[part], _RESET_COLUMN)
-    signals = _column_words(frame.signal[part], _SIGNAL_COLUMN)
+    resets, signals = frame.reset[part], frame.signal[part]
     count = len(resets)
     if global_shutter:
         before, after = (exposed - start) / max(count, 1), (end - closed) / max(count, 1)
@@ -399,13 +334,14 @@ def frame_blocks(
     index = np.arange(count)
     reset_t = reset_at + np.floor(index * before).astype(np.int64)
     signal_t = signal_at + np.floor(index * after).astype(np.int64)
-    return Blocks.merge(
+    header = _header(region, exposure_cycles, global_shutter=global_shutter)
+    return TimedWords.merge(
         [
-            _single(start, *_header(region, exposure_cycles, global_shutter=global_shutter)),
-            _column_blocks(resets, reset_t, spans[0]),
-            _single(exposed, _EXPOSURE_START),
-            _single(closed, _EXPOSURE_END),
-            _column_blocks(signals, signal_t, spans[1]),
-            _single(end, _FRAME_END),
+            TimedWords.at(start, *header),
+            _columns(resets, _RESET_COLUMN, reset_t, spans[0]),
+            TimedWords.at(exposed, _EXPOSURE_START),
+            TimedWords.at(closed, _EXPOSURE_END),
+            _columns(signals, _SIGNAL_COLUMN, signal_t, spans[1]),
+            TimedWords.at(end, _FRAME_END),
         ]
     )

@@ -71,11 +71,7 @@ def press_and_hold(rng: Generator, start_s: float, span_s: float) -> list[Segmen
     rise = min(rng.uniform(0.08, 0.6), 0.2 * span_s)
     fall = min(rng.uniform(0.06, 0.4), 0.15 * span_s)
     rest = span_s * rng.uniform(0.1, 0.25)
-    top, end = start_s + rise, start_s + span_s - rest
-    press = Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force))
-    hold = _hold(rng, top, end - fall, force)
-    release = Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0))
-    return [press, hold, release]
+    return _press(rng, (start_s, start_s + span_s - rest), rise, fall, force)
 
 
 def oscillation(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
@@ -165,15 +161,11 @@ def touch(
     if span_s < REST_S + 0.8:
         return []
     force, rise, fall = rng.uniform(0.3, 1.0), rng.uniform(0.1, 0.3), rng.uniform(0.06, 0.2)
-    top, end = start_s + rise, start_s + span_s - REST_S
-    hold = _hold(rng, top, end - fall, force)
+    end = start_s + span_s - REST_S
+    press, hold, release = _press(rng, (start_s, end), rise, fall, force)
     back, unroll = (-move[0], -move[1], -move[2]), (-roll[0], -roll[1])
-    return [
-        Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force)),
-        replace(hold, move=move, roll=roll),
-        Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0)),
-        Segment(end, end + 0.3, Mode.FREE, move=back, roll=unroll),
-    ]
+    away = Segment(end, end + 0.3, Mode.FREE, move=back, roll=unroll)
+    return [press, replace(hold, move=move, roll=roll), release, away]
 
 
 def _any_way(rng: Generator, shortest: float, longest: float) -> tuple[float, float]:
@@ -302,10 +294,7 @@ def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return one slow press that is held, in force or in position, for nearly the whole span."""
     force = rng.uniform(0.1, 1.0)
     rise, fall = min(rng.uniform(0.5, 2.0), 0.2 * span_s), min(0.5, 0.1 * span_s)
-    top, end = start_s + rise, start_s + 0.95 * span_s
-    press = Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force))
-    release = Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0))
-    return [press, _hold(rng, top, end - fall, force), release]
+    return _press(rng, (start_s, start_s + 0.95 * span_s), rise, fall, force)
 
 
 def staircase(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
@@ -339,6 +328,19 @@ def vibration(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
         Segment(start_s, top, Mode.POSITION, (0.0, rise), (-0.1, depth)),
         Segment(top, end - rise, Mode.POSITION, (0.0,), (depth,), (tone,)),
         Segment(end - rise, end, Mode.POSITION, (0.0, rise), (depth, -0.3)),
+    ]
+
+
+def _press(
+    rng: Generator, span_s: tuple[float, float], rise_s: float, fall_s: float, force_n: float
+) -> list[Segment]:
+    """Return a press, a hold and a release from the start to the end of a span."""
+    start_s, end_s = span_s
+    top, down = start_s + rise_s, end_s - fall_s
+    return [
+        Segment(start_s, top, Mode.FORCE, (0.0, rise_s), (0.0, force_n)),
+        _hold(rng, top, down, force_n),
+        Segment(down, end_s, Mode.FORCE, (0.0, fall_s), (force_n, 0.0)),
     ]
 
 

@@ -132,16 +132,21 @@ class Profile:
         """Whether it begins with a force: the indenter of what came before stays in contact."""
         return any(s.mode is Mode.FORCE and s.values[0] > 0.0 for s in self.segments[:1])
 
-    def commands(self, first: int, count: int) -> Commands:
+    def commands(self, first: int, count: int, indenters: tuple[Indenter, ...] = ()) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``.
 
         The command of step k is the one in force at its end, (k + 1) * 125 us.
+
+        Args:
+            first: First grid step.
+            count: Number of grid steps.
+            indenters: What the numbers of indenters refer to, in place of `indenters`.
         """
         times = np.arange(first + 1, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
         modes = np.zeros(count, np.int8)
         targets = np.zeros(count)
         tools = np.zeros(count, np.int8)
-        indenters = self.indenters
+        indenters = indenters or self.indenters
         for segment in self.segments:
             if segment.start_s > times[-1] or segment.end_s < times[0]:
                 continue
@@ -220,14 +225,14 @@ class LiveProfile:
 
     Attributes:
         indenters: Indenters that scenarios may use.
+        plays: The scenario under way and those around it, in order of time; replaced as a whole.
     """
 
     def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
         self.indenters = indenters
-        self._lock = Lock()
-        # The one under way and those around it.
-        self._plays: list[Play] = []
-        self._changed = self._moves = False
+        self.plays: tuple[Play, ...] = ()
+        self._playing = Lock()
+        self._moves = False
 
     def play(self, scenario: Profile, start_us: int) -> None:
         """Play a scenario from a time [us, simulated time] on.
@@ -235,29 +240,15 @@ class LiveProfile:
         It replaces what is playing then, and what was to begin later.
         """
         start = -(-start_us // STEP_US)
-        with self._lock:
-            self._plays = [play for play in self._plays if play.start < start]
-            self._plays = [*self._plays[-MOST_PLAYS + 1 :], Play(start, scenario)]
-            self._changed = True
-
-    def changes(self) -> list[Play] | None:
-        """Return what is played, None if that has not changed since the last call."""
-        with self._lock:
-            changed, self._changed = self._changed, False
-            return list(self._plays) if changed else None
-
-    def replace(self, plays: list[Play]) -> None:
-        """Play what `changes` of another profile returned."""
-        with self._lock:
-            self._plays = plays
+        with self._playing:
+            earlier = [play for play in self.plays if play.start < start][-MOST_PLAYS + 1 :]
+            self.plays = (*earlier, Play(start, scenario))
 
     def end_us(self) -> int | None:
         """Return when the latest scenario ends [us, simulated time], none before the first."""
-        with self._lock:
-            if not self._plays:
-                return None
-            start, scenario = self._plays[-1]
+        for start, scenario in self.plays[-1:]:
             return start * STEP_US + round(scenario.duration_s * 1e6)
+        return None
 
     def force_at(self, t_us: int) -> tuple[float, Indenter | None]:
         """Return the force [N] commanded at a time [us, simulated time], and of what.
@@ -303,19 +294,15 @@ class LiveProfile:
         modes, targets = np.zeros(count, np.int8), np.zeros(count)
         tools = np.zeros(count, np.int8)
         for begin, end, play in self._spans(first, count):
-            played = play.scenario.commands(begin - play.start, end - begin)
-            places = np.array(
-                [self.indenters.index(tool) for tool in play.scenario.indenters], np.int8
-            )
+            given = play.scenario.commands(begin - play.start, end - begin, self.indenters)
             span = slice(begin - first, end - first)
-            modes[span], targets[span], tools[span] = played[0], played[1], places[played[2]]
+            modes[span], targets[span], tools[span] = given
         return modes, targets, tools
 
     def _spans(self, first: int, count: int) -> list[tuple[int, int, Play]]:
         """Return which scenario commands which grid steps, as (begin, end, play)."""
-        with self._lock:
-            plays = list(self._plays)
-        ends = [play.start for play in plays[1:]] + [first + count]
+        plays = self.plays
+        ends = [*(play.start for play in plays[1:]), first + count]
         spans = [
             (max(play.start, first), min(end, first + count), play)
             for play, end in zip(plays, ends, strict=False)

@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 import pytest
+from usb.core import USBTimeoutError
 
 from mixtac_core.events.codec import decode
 from mixtac_core.recordings.bag import BagFile
@@ -18,7 +19,6 @@ from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_sim.bags.messages import TrialClocks
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.world.trial import TrialStream
 
 SPEC = TrialSpec('press_one', 'press', 2.8, 11, 12, 'easy', 'train')
@@ -75,7 +75,7 @@ def through_the_camera(spec):
             device.advance(now)
             try:
                 data = device.read_bulk(0x82, 1 << 22, 0.0)
-            except UsbTimeout:
+            except USBTimeoutError:
                 continue
             yield from decoder.push(data)
     assert not any(device.losses.values())

@@ -12,6 +12,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+from usb.core import USBTimeoutError
 
 from mixtac_core.events.arrays import Events
 from mixtac_sim import SimulationError
@@ -22,7 +23,6 @@ from mixtac_sim.mechanics.elastomer import HEMISPHERE
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, ON, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout
 from mixtac_sim.world.effects import EASY
 from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
 from mixtac_sim.world.segments import LiveProfile, Profile, Segment
@@ -109,7 +109,7 @@ def sensor(simulation, clock):
 def words(device):
     try:
         return np.frombuffer(device.read_bulk(0x82, 1 << 22, 0.0), '<u2')
-    except UsbTimeout:
+    except USBTimeoutError:
         return np.empty(0, np.uint16)
 
 

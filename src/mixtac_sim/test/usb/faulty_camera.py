@@ -11,14 +11,9 @@ import struct
 import time
 from dataclasses import dataclass
 
+from usb.core import USBError, USBTimeoutError
+
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbStall, UsbTimeout, VirtualUsbError
-
-
-class BabbleError(VirtualUsbError):
-    """The device sent more than requested."""
-
-    errno = errno.EOVERFLOW
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,7 @@ class Fault:
     count: float = math.inf
 
 
-READ_ERRORS = {'babble': BabbleError, 'bus error': VirtualUsbError}
+READ_ERRORS = {'babble': errno.EOVERFLOW, 'bus error': errno.EIO}
 MUX_RUN = (0x40, 0xBF, 0, 0, struct.pack('>I', 1))
 
 
@@ -56,9 +51,9 @@ class FaultyDavis346(VirtualDavis346):
 
     def control(self, request_type, request, value, index, data):
         if request_type & 0x40 and self._take('refused'):
-            raise UsbStall('injected')
+            raise USBError('injected', errno=errno.EPIPE)
         if request_type & 0x40 and self._take('no answer'):
-            raise UsbTimeout('injected')
+            raise USBTimeoutError('injected', errno=errno.ETIMEDOUT)
         answer = super().control(request_type, request, value, index, data)
         if (request_type, request, index) == (0x02, 1, 0x82):
             self._halted = False
@@ -70,15 +65,15 @@ class FaultyDavis346(VirtualDavis346):
     def read_bulk(self, endpoint, length, timeout_s):
         self._halted = self._halted or self._take('stall')
         if self._halted:
-            raise UsbStall('injected')
-        for kind, error in READ_ERRORS.items():
+            raise USBError('injected', errno=errno.EPIPE)
+        for kind, number in READ_ERRORS.items():
             if self._take(kind):
-                raise error('injected')
+                raise USBError('injected', errno=number)
         deadline_s = time.monotonic() + (timeout_s or math.inf)
         while self._is('hung') or self._is('frozen'):
             self.check_present()
             if self._is('frozen') and time.monotonic() > deadline_s:
-                raise UsbTimeout('injected')
+                raise USBTimeoutError('injected', errno=errno.ETIMEDOUT)
             time.sleep(0.002)
         if self._take('lost'):
             super().read_bulk(endpoint, 5002, timeout_s)

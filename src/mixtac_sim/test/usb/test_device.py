@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 import threading
 import time
 
 import numpy as np
 import pytest
+from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbGone, UsbStall, UsbTimeout
 
 
 @pytest.fixture
@@ -80,8 +81,9 @@ def test_registers_are_written_alone_or_together_and_read_only_ones_stay(device)
     ],
 )
 def test_unknown_requests_stall(device, request_):
-    with pytest.raises(UsbStall):
+    with pytest.raises(USBError) as failure:
         device.control(*request_)
+    assert failure.value.errno == errno.EPIPE
 
 
 def test_descriptors_are_those_of_the_camera(device):
@@ -119,7 +121,7 @@ def test_raw_words_pass_only_while_running(device):
     assert device.read_bulk(0x82, 64, 1.0) == words.astype('<u2').tobytes()[6:]
     device.feed(words)
     write(device, 9, 0, 0)
-    with pytest.raises(UsbTimeout):
+    with pytest.raises(USBTimeoutError):
         device.read_bulk(0x82, 64, 0.0)
 
 
@@ -127,7 +129,7 @@ def test_short_packet_only_after_the_early_packet_delay(device):
     start(device)
     write(device, 9, 1, 80 * 1008 * 3600)  # an hour
     device.feed(np.arange(4, dtype=np.uint16))
-    with pytest.raises(UsbTimeout):
+    with pytest.raises(USBTimeoutError):
         device.read_bulk(0x82, 64, 0.01)
     assert len(device.read_bulk(0x82, 8, 0.01)) == 8
     write(device, 9, 1, 80 * 1008 // 1000)  # a microsecond
@@ -141,9 +143,9 @@ def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
 
     def host():
         results.append(device.read_bulk(0x82, 64, None))
-        with pytest.raises(UsbGone):
+        with pytest.raises(USBError) as failure:
             device.read_bulk(0x82, 64, None)
-        results.append('gone')
+        results.append(failure.value.errno)
 
     thread = threading.Thread(target=host)
     thread.start()
@@ -152,6 +154,4 @@ def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
         thread.join(0.01)
     device.unplug()
     thread.join(5.0)
-    assert results == [b'\0\0\1\0\2\0', 'gone']
-    with pytest.raises(UsbGone):
-        read(device, 6, 0)
+    assert results == [b'\0\0\1\0\2\0', errno.ENODEV]

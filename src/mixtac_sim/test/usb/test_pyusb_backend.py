@@ -20,9 +20,9 @@ import pytest
 import usb.core
 import usb.util
 
+from mixtac_sim import SimulationError
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import NoVirtualSensorError, VirtualUsbError
 from mixtac_sim.usb.pyusb_backend import in_process_backend, open_backend
 from mixtac_sim.usb.server import UsbServer, check_free
 
@@ -143,9 +143,9 @@ def test_server_end_is_a_disconnect(server):
 def test_socket_is_private_and_removed(device, path):
     server = UsbServer(device, path)
     assert stat.S_IMODE(Path(path).stat().st_mode) == 0o600
-    with pytest.raises(VirtualUsbError):
+    with pytest.raises(SimulationError):
         UsbServer(VirtualDavis346('V0000043'), path)
-    with pytest.raises(VirtualUsbError):
+    with pytest.raises(SimulationError):
         check_free(path)
     server.close()
     assert not list(Path(path).parent.iterdir())
@@ -175,12 +175,12 @@ def test_sockets_of_other_programs_are_left_alone(path, kind):
         if kind == socket.SOCK_STREAM:
             other.listen()
         inode = Path(path).stat().st_ino
-        with pytest.raises(VirtualUsbError):
+        with pytest.raises(SimulationError):
             UsbServer(VirtualDavis346('V0000042'), path)
         assert Path(path).stat().st_ino == inode
 
 
 def test_without_a_server_the_error_names_the_socket(path):
-    with pytest.raises(NoVirtualSensorError) as failure:
+    with pytest.raises(SimulationError) as failure:
         open_backend('virtual')
     assert path in str(failure.value)

@@ -8,11 +8,11 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
+from usb.core import USBTimeoutError
 
 from mixtac_core.events.arrays import Events
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout
 
 MUX, DVS, APS, IMU, USB = 0, 1, 2, 3, 9
 
@@ -90,7 +90,7 @@ def drain(device):
     while True:
         try:
             data += device.read_bulk(0x82, 1 << 20, 0.0)
-        except UsbTimeout:
+        except USBTimeoutError:
             return np.frombuffer(data, '<u2')
 
 
