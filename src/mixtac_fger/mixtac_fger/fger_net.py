@@ -223,11 +223,13 @@ class FgerEstimator(Estimator):
         light = self._window_features.compute(events, self._guide, self._features)
         features = self._no_events if light else self._features
         self.path.step(features)
-        (force, *across), (deviation, *spread) = (each.tolist() for each in self.path.estimate())
-        known = across and self.path.known
-        self.shear = Shear._make([*across, max(spread[:2]), spread[2]]) if known else None
-        return force, deviation if self.gives_deviation else None
+        force, deviation = (each.tolist() for each in self.path.estimate())
+        self.shear = None
+        if self.config.shear and self.path.known:
+            self.shear = Shear._make([*force[1:], max(deviation[1:3]), deviation[3]])
+        return force[0], deviation[0] if self.gives_deviation else None
 
     def clear(self) -> None:
         """Forget the recurrent state."""
+        self.shear = None
         self.path.clear()

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-r"""All forces between two frames: those of the latest frame, and what events have added since.
+r"""All forces between two frames: what the latest frame shows, and what events have added since.
 
 A frame shows, in its moments (`mixtac_fger.moments`), the normal force by D, D r^2 and D r^4, the
 sideways force along each axis by S and L, and the torsion by the moments of turning T. From then on
 the moments of the event flow are added. Events change the normal force in a second way too: by the
 increments of the recurrent network (`EventGains`).
 
-A value y is that of the latest frame plus the increments since the centre of its exposure. When a
-frame has been evaluated, 25 times a second, y is corrected at once. A controller must not see these
-steps, which are not steps of the real force. The output therefore follows a correction c over the
-next :math:`N` windows, by an equal share in each:
+A value y is what the latest frame shows plus the increments since the centre of its exposure. When
+a frame has been evaluated, 25 times a second, y is corrected at once. A controller must not see
+these steps, which are not steps of the real force. The output therefore follows a correction c over
+the next :math:`N` windows, by an equal share in each:
 
 .. math:: f_t = y_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
 
@@ -21,11 +21,11 @@ of the output is
 
 with a floor b, a share s of the value, and a share h of the motion m since the frame. The motion is
 the change of the normal force by events, and for the others the sum of the absolute increments.
-Sideways force and torsion are those of a gel of usual stiffness times `shear.unit`, which
+Sideways force and torsion hold for a gel of usual stiffness, times `shear.unit`, which
 `mixtac_fger.fger_net.with_gain` changes.
 
-Axes are those of the contact frame: x to the right and y upwards in the image, z from the contact
-into the gel (right-handed, REP-103). Forces act on the skin.
+Axes are in the contact frame: x to the right and y upwards in the image, z from the contact into
+the gel (right-handed, REP-103). Forces act on the skin.
 """
 
 from __future__ import annotations
@@ -273,7 +273,9 @@ class ForcePath:
         self._state.hidden[:] = self._state.cell[:] = 0.0
         self.gains.forget_frame()
         self._sums[:] = self._then[:] = 0.0
-        self._value, self.pending, self._windows = 0.0 * self._value, 0.0 * self.pending, 0
+        # New arrays: the value is of the frame, which keeps it.
+        self._value, self.pending = np.zeros_like(self._value), np.zeros_like(self.pending)
+        self._windows = 0
         self.known = False
 
     def start_at(self, shown: Shown) -> None:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recurrent network, compiled: it runs 500 times a second.
 
-The torch network of `mixtac_learning.network` is the reference that this is tested
-against.
+The torch network of `mixtac_learning.network` is the reference that this is tested against.
 """
 
 from __future__ import annotations

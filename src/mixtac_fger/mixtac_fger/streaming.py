@@ -439,10 +439,14 @@ class ForceEstimator:
             self._count.frames_dropped += len(self._encoded) == WAITING_FRAMES
             self._encoded.append(frame)
 
+    @property
+    def _most_ahead_us(self) -> int:
+        """Return by how much a frame on the clock of the events may be ahead of them [us]."""
+        return FRAME_AHEAD_US + self.events_late_us
+
     def _use_frames(self, end_us: int) -> None:
         """Use the frames that have arrived before the window that ends at a time."""
-        ahead_us = FRAME_AHEAD_US + self.events_late_us
-        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= ahead_us:
+        while self._encoded and not 0 < self._encoded[0].mid_us - end_us <= self._most_ahead_us:
             # Its events are there, or never will be.
             self._apply(self._encoded.popleft(), end_us)
 
@@ -465,7 +469,7 @@ class ForceEstimator:
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
         behind_us = end_us - frame.mid_us
-        if not -FRAME_AHEAD_US - self.events_late_us <= behind_us <= FRAME_BEHIND_US:
+        if not -self._most_ahead_us <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
         reference = self.reference

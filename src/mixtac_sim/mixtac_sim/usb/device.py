@@ -374,10 +374,8 @@ class VirtualDavis346:
         elif not request_type & _TYPE_MASK and request == _SET_CONFIGURATION and value < 2:
             self._configuration = value
         elif request_type & _TYPE_MASK or request != _CLEAR_FEATURE:
-            text = (
-                f'unknown request {request_type:#04x}/{request:#04x} of {value} with {size} bytes'
-            )
-            raise USBError(text, errno=EPIPE)
+            name = f'{request_type:#04x}/{request:#04x}'
+            raise USBError(f'unknown request {name} of {value} with {size} bytes', errno=EPIPE)
 
     def _write(self, module: int, param: int, value: int) -> None:
         before = self._registers.read(module, param)

@@ -230,11 +230,12 @@ class StreamAssembler:
             self._readout = TimedWords.merge([self._readout, *frames])
         # What is left of a frame is large: it is cut first, and small things join what is due.
         due, self._readout = self._readout.split(true_us)
-        settings = self.imu_settings()
+        parts, settings = [due], self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                due = TimedWords.merge([due, imu_words(reading, settings)])
+                parts.append(imu_words(reading, settings))
+        due = TimedWords.merge(parts)
         self.done_us = true_us
         return TimedWords(self._oscillator.to_camera(due.t), due.words)
 

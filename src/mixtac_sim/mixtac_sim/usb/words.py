@@ -62,9 +62,8 @@ class TimedWords(NamedTuple):
     def split(self, before_us: int) -> tuple[TimedWords, TimedWords]:
         """Cut into the words before a time [us, camera clock] and the rest."""
         cut = int(np.searchsorted(self.t, before_us))
-        return TimedWords(self.t[:cut], self.words[:cut]), TimedWords(
-            self.t[cut:], self.words[cut:]
-        )
+        early = TimedWords(self.t[:cut], self.words[:cut])
+        return early, TimedWords(self.t[cut:], self.words[cut:])
 
 
 @njit(cache=True, nogil=True)

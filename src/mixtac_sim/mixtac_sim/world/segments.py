@@ -246,9 +246,10 @@ class LiveProfile:
 
     def end_us(self) -> int | None:
         """Return when the latest scenario ends [us, simulated time], none before the first."""
-        for start, scenario in self.plays[-1:]:
-            return start * STEP_US + round(scenario.duration_s * 1e6)
-        return None
+        if not (plays := self.plays):
+            return None
+        start, scenario = plays[-1]
+        return start * STEP_US + round(scenario.duration_s * 1e6)
 
     def force_at(self, t_us: int) -> tuple[float, Indenter | None]:
         """Return the force [N] commanded at a time [us, simulated time], and of what.
