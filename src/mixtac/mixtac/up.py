@@ -289,6 +289,8 @@ def slip(
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
         grip = {} if press else {'grip_margin': 1.0}
+        # The grasp publishes joint states once the fingertip has reached them.
+        arm = {'joint_state_topic': '/virtual_arm/joint_states'}
         knocks = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
         drawn = {} if figure is None else {'figure': str(figure.absolute())}
         # The contact is not needed, and costs as much as the force.
@@ -298,7 +300,7 @@ def slip(
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **grip, **simulated}),
-            node('mixtac_sim', 'virtual_arm', overrides=simulated),
+            node('mixtac_sim', 'virtual_arm', overrides={**arm, **simulated}),
             node('mixtac', 'supervisor', overrides={**knocks, **drawn}),
             fger,
             driver,

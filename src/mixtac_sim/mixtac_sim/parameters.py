@@ -70,7 +70,8 @@ class VirtualGraspParameters(VirtualCameraParameters):
         object: Object held by the gripper
         margin: Grasp force over the smallest force that holds the object
         knock: Speed that an impact (~/knock) gives the object
-        joint_state_topic: Topic of the arm's joint positions
+        arm_topic: Topic on which the virtual arm publishes its joint positions
+        joint_state_topic: Topic of the joint positions that the fingertip has reached
         publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, and let it
             wait for the answers on `slip` and `force_quality`, so that a slow host slows down all
             nodes alike
@@ -80,6 +81,7 @@ class VirtualGraspParameters(VirtualCameraParameters):
     object: str = fixed('box', choices=('box', 'cup', 'ball'))
     margin: float = fixed(1.05, within=(1.0, 5.0))
     knock: float = parameter(50.0, unit='mm/s', within=(0.0, 500.0))
+    arm_topic: str = fixed('/virtual_arm/joint_states')
     joint_state_topic: str = fixed('/joint_states')
     publish_clock: bool = fixed(False)
 

@@ -49,7 +49,10 @@ ARM_AHEAD_US = 10_000
 
 
 class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
-    """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
+    """Runs sensor and grasp, follows the virtual arm, and strikes the object on request.
+
+    The fingertip reaches what the arm reports about 20 ms later. Only then is it published as joint
+    states: events, force and joint states of one stamp belong together.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
     ``truth/wrench`` and ``truth/object`` (its position, y upwards in m). The fingertip touches
@@ -104,9 +107,8 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
             self.subscribe_topic(topics.SLIP, partial(self._on_answer, self._slip_pace), raw=True)
             answer = partial(self._on_answer, self._force_pace)
             self.subscribe_topic(topics.FORCE_QUALITY, answer, raw=True)
-        self.create_subscription(
-            JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
-        )
+        self.create_subscription(JointState, settings.arm_topic, self._on_joints, QOS_SENSOR)
+        self._joints = self.create_publisher(JointState, settings.joint_state_topic, 10)
         self.create_service(Trigger, '~/knock', answering(self._on_knock))
         self.create_service(Trigger, '~/put_back', answering(self._on_put_back))
 
@@ -127,14 +129,14 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         pace.answer(now_us - late_us, now_us)
 
     def _on_joints(self, message: JointState) -> None:
-        places = dict(zip(message.name, message.position, strict=False))
-        if not all(name in places for name in JOINT_NAMES):
+        if tuple(message.name) != JOINT_NAMES:
             return
         self._arm_pace.answer(stamp_to_us(message.header.stamp), self._time.now_us())
-        place = flange_place(np.array([places[name] for name in JOINT_NAMES]))
+        posture = tuple(message.position)
+        place = flange_place(np.array(posture))
         if self._start_m is None:
             self._start_m = place
-        self._grasp.move(1e3 * float((place - self._start_m) @ SIDEWAYS))
+        self._grasp.move(1e3 * float((place - self._start_m) @ SIDEWAYS), posture)
 
     def _on_knock(self, _request: Trigger.Request) -> str:
         self._grasp.strike(self._settings.knock)
@@ -154,6 +156,11 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
             if self._clock_topic is not None and now_ns >= due_ns:
                 self._clock_topic.publish(Clock(clock=ns_to_stamp(now_ns)))
                 due_ns = now_ns + CLOCK_PERIOD_NS
+            start_ns = self._time.start_epoch_ns
+            for t_us, posture in self._grasp.take_reached((now_ns - start_ns) // 1000):
+                joints = JointState(name=JOINT_NAMES, position=posture)
+                joints.header.stamp = ns_to_stamp(start_ns + 1000 * t_us)
+                self._joints.publish(joints)
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
                 self._publish_truth(batch)

@@ -90,7 +90,7 @@ CALM_US: Final = 200_000
 LATEST_US: Final = 1_000_000
 """A slip that lies farther ahead than this belongs to a clock that has started anew [us]."""
 OLDEST_S: Final = 0.2
-"""Older forces count as this old [s]: the planner keeps advances for little longer."""
+"""Older forces count as this old [s]: advances are not kept for longer."""
 NEVER: Final = -(10**9)
 """Time of no slip, camera clock [us]."""
 
@@ -163,15 +163,12 @@ class SlipController:
             now_s: Host time [s].
         """
         new = self.watch.on_force(force_n, stamp_us, now_s)
-        if new and self._planner is not None and self.watch.trusts_force(now_s):
+        if new and self.following is not None and self.watch.trusts_force(now_s):
             age = 0.0
             if self._window is not None:
                 end_us, arrived_s = self._window
                 age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
-            at_s = now_s - min(max(age, 0.0), OLDEST_S)
-            # The arm lags by up to twice its time constant: its advance is between these two.
-            ends = self._planner.advance_at(at_s), self._planner.advance_at(at_s - 2.0 * ARM_LAG_S)
-            place, spread = 0.5 * (ends[0] + ends[1]), 0.25 * abs(ends[0] - ends[1])
+            place, spread = self.following.advance_at(now_s - min(max(age, 0.0), OLDEST_S))
             calm = self._calm(stamp_us)
             self.law.on_force(force_n, place, spread, calm=calm, enabled=self.enabled)
         self.tick(now_s)

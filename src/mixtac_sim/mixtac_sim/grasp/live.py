@@ -161,6 +161,8 @@ class LiveGrasp:
         self._clock = clock
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0
+        self._posture: tuple[float, ...] = ()
+        self._reached: list[tuple[int, tuple[float, ...]]] = []
         self._strike_mm_s = 0.0
         self._back, self._open = False, open_first
         self._gripping, self._from_n = 0, self.grasp_n
@@ -168,10 +170,22 @@ class LiveGrasp:
         self._frames: list[ApsFrame] = []
         self.object_mm = 0.0
 
-    def move(self, advance_mm: float) -> None:
-        """Move the fingertip to a place along the normal, from where the grasp began [mm]."""
+    def move(self, advance_mm: float, posture: tuple[float, ...] = ()) -> None:
+        """Move the fingertip along the normal, to a place counted from where the grasp began [mm].
+
+        Args:
+            advance_mm: The place [mm].
+            posture: Joint positions of the arm there, for `take_reached`.
+        """
         with self._lock:
-            self._wanted_mm = advance_mm
+            self._wanted_mm, self._posture = advance_mm, posture
+
+    def take_reached(self, until_us: int) -> list[tuple[int, tuple[float, ...]]]:
+        """Return the postures reached up to a time since the last call, and when [us]."""
+        with self._lock:
+            ready = [each for each in self._reached if each[0] <= until_us]
+            self._reached = self._reached[len(ready) :]
+            return ready
 
     def strike(self, speed_mm_s: float) -> None:
         """Strike the object in the next block, which gives it a speed [mm/s]."""
@@ -210,6 +224,8 @@ class LiveGrasp:
         with self._lock:
             wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
             self._strike_mm_s, self._back = 0.0, False
+            if self._posture:
+                self._reached.append(((self._block + 1) * BLOCK_US, self._posture))
         if back or self.object_mm > LOST_MM:
             self._gripping, self._open = GRIP_BLOCKS, False
         if strike > 0.0:

@@ -60,6 +60,18 @@ def test_what_is_put_back_is_held_again_with_the_force_of_the_grasp(grasp: LiveG
     assert min(force) > 0.95 * grasp.grasp_n
 
 
+def test_it_reports_where_the_fingertip_is_and_since_when(grasp: LiveGrasp) -> None:
+    before = grasp.advance(8_000).truth['fz'][-1]
+    assert grasp.take_reached(8_000) == []
+    grasp.move(0.1, (1.0, 2.0))
+    assert grasp.advance(12_000).truth['fz'][-1] > 1.1 * before
+    grasp.advance(20_000)
+    grasp.move(0.2, (3.0, 4.0))
+    grasp.advance(24_000)
+    assert grasp.take_reached(16_000) == [(12_000, (1.0, 2.0)), (16_000, (1.0, 2.0))]
+    assert grasp.take_reached(24_000) == [(20_000, (1.0, 2.0)), (24_000, (3.0, 4.0))]
+
+
 def test_it_can_begin_open_and_close_on_what_a_hand_holds() -> None:
     setup = draw_setup('box', np.random.default_rng(0))
     grasp = LiveGrasp(setup, 1, 1, EASY, PacedClock(), open_first=True)

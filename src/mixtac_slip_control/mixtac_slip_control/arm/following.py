@@ -33,6 +33,10 @@ LAGS: Final = 5.0
 """Lags after which the arm has followed its command to 1 %."""
 STAMP_S: Final = 0.02
 """By which the stamps of joint states and the lag of the arm may be off [s]."""
+SKEW_S: Final = 4e-3
+"""By which the stamps of joint states may be off from those of forces [s]."""
+TRACK: Final = 64
+"""Measured advances kept: longer than forces and joint states may be old."""
 INSTANTS: Final = 8
 """Times at which the plan is looked at."""
 COMMAND_M: Final = 2e-6
@@ -68,6 +72,7 @@ class FollowingWatch:
         self._commanded: Floats | None = None
         self._commanded_s = -math.inf
         self._moved_s = -math.inf
+        self._track = np.empty((2, 0))
 
     @property
     def ready(self) -> bool:
@@ -87,7 +92,7 @@ class FollowingWatch:
             ArmError: The arm is far from its commanded positions.
         """
         self.lost = ''
-        self._from_s, self._sag = settled_s, None
+        self._from_s, self._sag, self._track = settled_s, None, np.empty((2, 0))
         if commanded is not None:
             self._sag = measured - commanded
             self._check_sag(self._sag)
@@ -105,6 +110,7 @@ class FollowingWatch:
             return
         first_s = stamp_s - LAGS * ARM_LAG_S - STAMP_S
         along, nearest, across = self._compare(line, q - self._sag, first_s, stamp_s)
+        self._track = np.hstack([self._track[:, 1 - TRACK :], [[stamp_s], [along]]])
         if abs(along - nearest) > MAX_FOLLOWING_M:
             self.lost = (
                 f'the arm does not follow: it has advanced by {1e3 * along:.2f} mm where '
@@ -113,6 +119,19 @@ class FollowingWatch:
             )
         else:
             self._check_sag(across)
+
+    def advance_at(self, t_s: float) -> tuple[float, float]:
+        """Return the measured advance at a time [s], and its standard deviation [m].
+
+        After the latest joint state it is that one: it lies behind the arm, so that the contact
+        looks stiffer and the answer is shorter. Without fresh joint states it is the planned one.
+        """
+        latest_s = float(self._track[0, -1]) if self._track.size else -math.inf
+        if t_s > latest_s + MAX_JOINT_AGE_S:
+            return self._planner.advance_at(t_s), 0.0
+        t_s = min(t_s, latest_s)
+        before, place = np.interp((t_s - SKEW_S, t_s), *self._track).tolist()
+        return place, 0.5 * abs(place - before)
 
     def on_commanded(self, q: Floats, stamp_s: float) -> None:
         """Compare commanded joint positions (n,) [rad] of a time [s] with the plan."""

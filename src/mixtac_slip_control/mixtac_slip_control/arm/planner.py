@@ -47,21 +47,6 @@ GRID_NS: Final = 1_000_000
 """Grid of the times at which trajectories begin and branch off [ns]."""
 
 
-@dataclass(frozen=True, slots=True)
-class MotionLimits:
-    """Limits of the advance that keep every joint and the tip within their limits.
-
-    Attributes:
-        speed: [m/s].
-        acceleration: [m/s2].
-        jerk: [m/s3].
-    """
-
-    speed: float
-    acceleration: float
-    jerk: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLine:
     """A straight line in joint space along which the tip advances at constant orientation.
@@ -80,19 +65,22 @@ class JointLine:
         """Return the joint positions (n,) [rad] at an advance [m]."""
         return self.start + advance * self.slope
 
-    def limits(self, limits: JointLimits, share: float, most: float) -> MotionLimits:
-        """Return the limits of the advance at which no joint exceeds a share of its limits.
+    def limits(self, limits: JointLimits, share: float, most: float) -> tuple[float, float, float]:
+        """Return speed, acceleration and jerk of the advance at which no joint exceeds its share.
 
         Args:
             limits: Limits of joints and tip.
             share: Share of each rate limit that may be used, 0 to 1.
             most: Largest advance [m].
+
+        Returns:
+            [m/s, m/s2, m/s3].
         """
         slope = np.maximum(np.abs(self.slope), 1e-9)
         bounds = [limits.velocity_bounds(self.at(s)) for s in (0.0, most)]
         speeds = np.min([np.minimum(-low, high) for low, high in bounds], axis=0)
         tip_speed, tip_acceleration, tip_jerk = limits.tip
-        return MotionLimits(
+        return (
             min(MAX_SPEED, share * min(tip_speed, float((speeds / slope).min()))),
             share * min(tip_acceleration, float((limits.acceleration / slope).min())),
             share * min(tip_jerk, float((limits.jerk / slope).min())),
@@ -177,7 +165,6 @@ class AdvancePlanner:
 
     Attributes:
         line: Joint line of this reset; None before the first reset.
-        motion_limits: Limits of the advance along the line.
         refused: Number of plans that ruckig could not compute; the last trajectory stays valid.
 
     Args:
@@ -196,7 +183,6 @@ class AdvancePlanner:
         self._lead_ns, self._share = round(lead_s * 1e9), share
         self.refused = 0
         self.line: JointLine | None = None
-        self.motion_limits = MotionLimits(0.0, 0.0, 0.0)
         self._most, self._now_ns = 0.0, 0
         self._ruckig, self._motion, self._input = Ruckig(1), Motion(1), InputParameter(1)
         self._clear()
@@ -231,11 +217,11 @@ class AdvancePlanner:
         if not 0.0 <= max_advance <= MAX_ADVANCE:
             raise ArmError(f'max_advance = {max_advance} m: give 0 to {MAX_ADVANCE} m')
         self.line = joint_line(self._arm, self._limits, q, normal, max_advance)
-        self.motion_limits = self.line.limits(self._limits, self._share, max_advance)
+        speed, acceleration, jerk = self.line.limits(self._limits, self._share, max_advance)
         self._most = max_advance
-        self._input.max_velocity = [self.motion_limits.speed]
-        self._input.max_acceleration = [self.motion_limits.acceleration]
-        self._input.max_jerk = [self.motion_limits.jerk]
+        self._input.max_velocity = [speed]
+        self._input.max_acceleration = [acceleration]
+        self._input.max_jerk = [jerk]
         self._clear()
 
     def plan(self, now_s: float, advance_m: float) -> PlannedTrajectory | None:
