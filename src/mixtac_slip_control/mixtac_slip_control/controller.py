@@ -89,8 +89,11 @@ CALM_US: Final = 200_000
 """Time after a slip in which the sensor's force is not learned from [us]: five frames."""
 LATEST_US: Final = 1_000_000
 """A slip that lies farther ahead than this belongs to a clock that has started anew [us]."""
-OLDEST_S: Final = 0.2
-"""Older forces count as this old [s]: advances are not kept for longer."""
+STAMP_S: Final = 4e-3
+"""By which a force may be older than its stamp says, beside joint states [s]."""
+SLIP_STAMP_S: Final = 0.04
+"""The same during a slip [s]: while the object slides, events show little of a press, and the force
+follows with the next frame."""
 NEVER: Final = -(10**9)
 """Time of no slip, camera clock [us]."""
 
@@ -164,12 +167,11 @@ class SlipController:
         """
         new = self.watch.on_force(force_n, stamp_us, now_s)
         if new and self.following is not None and self.watch.trusts_force(now_s):
-            age = 0.0
-            if self._window is not None:
-                end_us, arrived_s = self._window
-                age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
-            place, spread = self.following.advance_at(now_s - min(max(age, 0.0), OLDEST_S))
+            end_us, arrived_s = self._window or (stamp_us, now_s)
+            age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
             calm = self._calm(stamp_us)
+            before_s = STAMP_S if calm else SLIP_STAMP_S
+            place, spread = self.following.advance_at(now_s - age, before_s)
             self.law.on_force(force_n, place, spread, calm=calm, enabled=self.enabled)
         self.tick(now_s)
 

@@ -33,8 +33,6 @@ LAGS: Final = 5.0
 """Lags after which the arm has followed its command to 1 %."""
 STAMP_S: Final = 0.02
 """By which the stamps of joint states and the lag of the arm may be off [s]."""
-SKEW_S: Final = 4e-3
-"""By which the stamps of joint states may be off from those of forces [s]."""
 TRACK: Final = 64
 """Measured advances kept: longer than forces and joint states may be old."""
 INSTANTS: Final = 8
@@ -120,17 +118,20 @@ class FollowingWatch:
         else:
             self._check_sag(across)
 
-    def advance_at(self, t_s: float) -> tuple[float, float]:
-        """Return the measured advance at a time [s], and its standard deviation [m].
+    def advance_at(self, t_s: float, before_s: float) -> tuple[float, float]:
+        """Return the measured advance at a time, and its standard deviation [m].
 
         After the latest joint state it is that one: it lies behind the arm, so that the contact
         looks stiffer and the answer is shorter. Without fresh joint states it is the planned one.
+
+        Args:
+            t_s: The time [s].
+            before_s: By how much earlier it may in truth have been [s].
         """
         latest_s = float(self._track[0, -1]) if self._track.size else -math.inf
         if t_s > latest_s + MAX_JOINT_AGE_S:
             return self._planner.advance_at(t_s), 0.0
-        t_s = min(t_s, latest_s)
-        before, place = np.interp((t_s - SKEW_S, t_s), *self._track).tolist()
+        before, place = np.interp((t_s - before_s, t_s), *self._track).tolist()
         return place, 0.5 * abs(place - before)
 
     def on_commanded(self, q: Floats, stamp_s: float) -> None:

@@ -79,23 +79,23 @@ def test_the_advance_at_the_time_of_a_force_is_the_measured_one() -> None:
     # An arm that lags by more than is usual, and sags.
     chain = Chain(lag_s=15e-3)
     chain.watch.start(START_S, chain.measured, READY)
-    assert chain.watch.advance_at(chain.now_s) == (0.0, 0.0)
+    assert chain.watch.advance_at(chain.now_s, 4e-3) == (0.0, 0.0)
     slope, places = chain.planner.line.slope, []
     for k in range(60):
         chain.step(min(max(k - 30, 0) * 2e-5, 5e-4))
         places.append(float(slope @ (chain.arm.q - READY)) / float(slope @ slope))
     latest_s = START_S + 0.059
     for back in (0, 4, 10, 20):
-        place, spread = chain.watch.advance_at(latest_s - 1e-3 * back)
+        place, spread = chain.watch.advance_at(latest_s - 1e-3 * back, 4e-3)
         assert place == pytest.approx(places[-1 - back], abs=1e-9)
         assert spread == pytest.approx(0.5 * (places[-1 - back] - places[-5 - back]), abs=1e-9)
     # The plan is far ahead of this arm.
     assert chain.planner.advance_at(latest_s) - places[-1] > 5e-5
-    assert chain.watch.advance_at(latest_s + 3e-3)[0] == pytest.approx(places[-1], abs=1e-9)
+    assert chain.watch.advance_at(latest_s + 3e-3, 4e-3)[0] == pytest.approx(places[-1], abs=1e-9)
     # Without fresh joint states the plan is all that is known.
-    assert chain.watch.advance_at(latest_s + 1.0) == (chain.planner.target, 0.0)
+    assert chain.watch.advance_at(latest_s + 1.0, 4e-3) == (chain.planner.target, 0.0)
     chain.watch.start(latest_s, chain.measured, READY)
-    assert chain.watch.advance_at(latest_s) == (chain.planner.advance_at(latest_s), 0.0)
+    assert chain.watch.advance_at(latest_s, 4e-3) == (chain.planner.advance_at(latest_s), 0.0)
 
 
 def test_a_frozen_arm_is_found_before_half_a_millimetre_was_commanded() -> None:
