@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the arm follows the plan, and whether its controller received every plan in time.
+"""Where the arm is, whether it follows the plan, and whether its controller got every plan in time.
 
 Measured joint positions are compared with the plan over the time by which the arm may lag: along
 the advance by distance, across it joint by joint. The sag of the arm at the start is subtracted.

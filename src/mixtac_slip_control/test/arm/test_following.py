@@ -89,6 +89,10 @@ def test_the_advance_at_the_time_of_a_force_is_the_measured_one() -> None:
         place, spread = chain.watch.advance_at(latest_s - 1e-3 * back, 4e-3)
         assert place == pytest.approx(places[-1 - back], abs=1e-9)
         assert spread == pytest.approx(0.5 * (places[-1 - back] - places[-5 - back]), abs=1e-9)
+    # A time that is known less well leaves the place as open as the arm has moved in between.
+    place, spread = chain.watch.advance_at(latest_s, 0.02)
+    assert place == pytest.approx(places[-1], abs=1e-9)
+    assert spread == pytest.approx(0.5 * (places[-1] - places[-21]), abs=1e-9)
     # The plan is far ahead of this arm.
     assert chain.planner.advance_at(latest_s) - places[-1] > 5e-5
     assert chain.watch.advance_at(latest_s + 3e-3, 4e-3)[0] == pytest.approx(places[-1], abs=1e-9)
