@@ -278,7 +278,10 @@ def slip(
     simulated = {'use_sim_time': True}
     with tempfile.TemporaryDirectory(prefix='mixtac-') as folder, ProcessGroup() as processes:
         socket = Path(folder) / 'usb.sock'
+        # The grasp publishes the joint states once the fingertip has reached them.
+        arm_topic = '/virtual_arm/joint_states'
         grasp = {
+            'arm_topic': arm_topic,
             'object': object_name,
             'knock': disturb,
             'preset': preset,
@@ -289,8 +292,7 @@ def slip(
         }
         reach = {'normal_frame': 'base', 'normal': '0 1 0'}
         grip = {} if press else {'grip_margin': 1.0}
-        # The grasp publishes joint states once the fingertip has reached them.
-        arm = {'joint_state_topic': '/virtual_arm/joint_states'}
+        arm = {'joint_state_topic': arm_topic, **simulated}
         knocks = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
         drawn = {} if figure is None else {'figure': str(figure.absolute())}
         # The contact is not needed, and costs as much as the force.
@@ -300,7 +302,7 @@ def slip(
         nodes = [
             node('mixtac_sim', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **grip, **simulated}),
-            node('mixtac_sim', 'virtual_arm', overrides={**arm, **simulated}),
+            node('mixtac_sim', 'virtual_arm', overrides=arm),
             node('mixtac', 'supervisor', overrides={**knocks, **drawn}),
             fger,
             driver,

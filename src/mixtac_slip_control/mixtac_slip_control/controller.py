@@ -89,9 +89,9 @@ CALM_US: Final = 200_000
 """Time after a slip in which the sensor's force is not learned from [us]: five frames."""
 LATEST_US: Final = 1_000_000
 """A slip that lies farther ahead than this belongs to a clock that has started anew [us]."""
-STAMP_S: Final = 4e-3
-"""By which a force may be older than its stamp says, beside joint states [s]."""
-SLIP_STAMP_S: Final = 0.04
+FORCE_DELAY_S: Final = 4e-3
+"""By which a force may be older than its stamp says [s], on the clock of the joint states."""
+SLIP_FORCE_DELAY_S: Final = 0.04
 """The same during a slip [s]: while the object slides, events show little of a press, and the force
 follows with the next frame."""
 NEVER: Final = -(10**9)
@@ -170,8 +170,8 @@ class SlipController:
             end_us, arrived_s = self._window or (stamp_us, now_s)
             age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
             calm = self._calm(stamp_us)
-            before_s = STAMP_S if calm else SLIP_STAMP_S
-            place, spread = self.following.advance_at(now_s - age, before_s)
+            delay_s = FORCE_DELAY_S if calm else SLIP_FORCE_DELAY_S
+            place, spread = self.following.advance_at(now_s - age, delay_s)
             self.law.on_force(force_n, place, spread, calm=calm, enabled=self.enabled)
         self.tick(now_s)
 

@@ -34,7 +34,7 @@ LAGS: Final = 5.0
 STAMP_S: Final = 0.02
 """By which the stamps of joint states and the lag of the arm may be off [s]."""
 TRACK: Final = 64
-"""Measured advances kept: longer than forces and joint states may be old."""
+"""Measured advances kept: for 64 ms at 1 kHz."""
 INSTANTS: Final = 8
 """Times at which the plan is looked at."""
 COMMAND_M: Final = 2e-6
@@ -118,7 +118,7 @@ class FollowingWatch:
         else:
             self._check_sag(across)
 
-    def advance_at(self, t_s: float, before_s: float) -> tuple[float, float]:
+    def advance_at(self, t_s: float, delay_s: float) -> tuple[float, float]:
         """Return the measured advance at a time, and its standard deviation [m].
 
         After the latest joint state it is that one: it lies behind the arm, so that the contact
@@ -126,12 +126,12 @@ class FollowingWatch:
 
         Args:
             t_s: The time [s].
-            before_s: By how much earlier it may in truth have been [s].
+            delay_s: By how much earlier it may in truth have been [s].
         """
         latest_s = float(self._track[0, -1]) if self._track.size else -math.inf
         if t_s > latest_s + MAX_JOINT_AGE_S:
             return self._planner.advance_at(t_s), 0.0
-        before, place = np.interp((t_s - before_s, t_s), *self._track).tolist()
+        before, place = np.interp((t_s - delay_s, t_s), *self._track).tolist()
         return place, 0.5 * abs(place - before)
 
     def on_commanded(self, q: Floats, stamp_s: float) -> None:
