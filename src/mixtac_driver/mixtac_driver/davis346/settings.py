@@ -96,9 +96,9 @@ class SensorParameters:
             Empty: no mask
         hot_pixels_duration: Time over which the service find_hot_pixels counts events; keep the
             scene still
-        hot_pixels_file: Name of the file, such as left_mask.png, to which the service
-            find_hot_pixels writes the mask (an image for dvs_pixel_mask), in the state folder
-            ($MIXTAC_HOME, by default ~/.local/state/mixtac). Empty: not written
+        hot_pixels_file: Name of a file, such as left_mask.png, in the state folder ($MIXTAC_HOME,
+            by default ~/.local/state/mixtac). The service find_hot_pixels writes the mask to it;
+            the driver reads it at start. Empty: the mask lasts until the driver ends
         aps_enabled: Enable frame output
         aps_exposure: Exposure time; the shipped force estimator was trained at the default
         aps_frame_interval: Frame interval; 0: as fast as possible

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_core.events.readings import Frame
+from mixtac_core.node.files import state_file
 from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import UsbError
@@ -44,29 +45,33 @@ class DriverSettings:
     """Turns parameters into settings of the camera, from any thread.
 
     Args:
-        parameters: The start values.
+        parameters: The start values; where the file of hot pixels exists, they are masked.
 
     Attributes:
         parameters: Those in effect.
         mask: Pixels that are masked now.
-        file_mask: Pixels of the file that the parameters name.
+        file_mask: Pixels of `dvs_pixel_mask`.
 
     Raises:
-        ConfigurationError: They contradict each other, or the mask cannot be read.
+        ConfigurationError: They contradict each other, or a mask cannot be read.
     """
 
     def __init__(self, parameters: DriverParameters) -> None:
         parameters.check()
         self.parameters = parameters
         self.mask = self.file_mask = load_mask(parameters.dvs_pixel_mask)
+        name = parameters.hot_pixels_file
+        if name and (path := state_file(name)).exists():
+            found = load_mask(str(path))
+            self.mask = PixelMask([*found.pixels, *self.file_mask.pixels], found.size)
         self._size: tuple[int, int] | None = None
-        # Set by automatic exposure [us]; None: that of the parameters.
-        self._exposure_us: int | None = None
+        # That of the parameters, or set by automatic exposure [us].
+        self._exposure_us = parameters.aps_exposure
         self._lock = threading.Lock()
 
     def camera_settings(self) -> tuple[DriverParameters, PixelFilter]:
         """Return the settings of the camera."""
-        return _with_exposure(self.parameters, self._exposure_us), self.mask.in_camera
+        return replace(self.parameters, aps_exposure=self._exposure_us), self.mask.in_camera
 
     def use_size(self, size: tuple[int, int]) -> None:
         """Check the mask against the pixel array of a camera that was opened.
@@ -101,8 +106,8 @@ class DriverSettings:
                     mask.check_size(self._size)
                 mask.dropped = self.mask.dropped
             kept = parameters.aps_auto_exposure and parameters.aps_exposure == old.aps_exposure
-            exposure_us = self._exposure_us if kept else None
-            apply(_with_exposure(parameters, exposure_us), mask.in_camera)
+            exposure_us = self._exposure_us if kept else parameters.aps_exposure
+            apply(replace(parameters, aps_exposure=exposure_us), mask.in_camera)
             self.parameters, self.mask, self.file_mask = parameters, mask, file_mask
             self._exposure_us = exposure_us
 
@@ -137,17 +142,12 @@ class DriverSettings:
         try:
             if not self.parameters.aps_auto_exposure:
                 return
-            now_us = self.camera_settings()[0].aps_exposure
             right_us = right_exposure(frame.image, exposure_us, self.parameters)
-            if abs(right_us - now_us) > DEAD_BAND * now_us and control.set_exposure(right_us):
+            changed = abs(right_us - self._exposure_us) > DEAD_BAND * self._exposure_us
+            if changed and control.set_exposure(right_us):
                 self._exposure_us = right_us
         except UsbError:
             # The thread that reads the data reports failures of the camera.
             pass
         finally:
             self._lock.release()
-
-
-def _with_exposure(p: DriverParameters, exposure_us: int | None) -> DriverParameters:
-    """Return parameters with the exposure that automatic exposure has set, if any."""
-    return p if exposure_us is None else replace(p, aps_exposure=exposure_us)

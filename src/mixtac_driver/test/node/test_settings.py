@@ -38,6 +38,19 @@ def test_a_mask_of_another_size_is_refused(tmp_path):
         settings.apply(masked, Applied())
 
 
+def test_hot_pixels_found_before_are_masked_from_the_start(tmp_path, monkeypatch):
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
+    own = str(tmp_path / 'own.png')
+    save_mask(PixelMask([(3, 4)], SIZE), own)
+    named = replace(DriverParameters(), dvs_pixel_mask=own, hot_pixels_file='mask.png')
+    assert DriverSettings(named).mask.pixels == ((3, 4),)
+    save_mask(PixelMask([(7, 8)], SIZE), str(tmp_path / 'mask.png'))
+    settings = DriverSettings(named)
+    assert settings.mask.pixels == ((7, 8), (3, 4))
+    # A new search starts from the user's own mask.
+    assert settings.file_mask.pixels == ((3, 4),)
+
+
 def frame(level):
     image = np.full((4, 4), level, np.uint16)
     return Frame(image, 0, 0, 0, 0, 0, 0, 0, global_shutter=True)
