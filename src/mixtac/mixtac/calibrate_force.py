@@ -23,7 +23,7 @@ from mixtac_core.node.process import ProcessGroup
 from mixtac_core.node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CALIBRATED_KEY, SERIAL_KEY
-from mixtac_fger.fger_net import CALIBRATED_DEVIATION, checked_config, with_gain
+from mixtac_fger.fger_net import checked_config, with_gain
 from mixtac_fger.force_calibration import (
     PULL,
     ForceCalibration,
@@ -223,7 +223,12 @@ def calibrate(console: Console, content: Model, session: Session, entry: dict[st
     """
     normal = fit_gain(session.loads, session.plateaus)
     entry |= _entry(normal)
+    entry |= {'share': round(normal.share, 5), 'exponent': round(normal.exponent, 5)}
     _report(console, 'Known loads', entry)
+    console.print(
+        f'forces elsewhere and later +- {normal.share:.0%} (one standard deviation);'
+        f' the loads grow as the estimate to the power {normal.exponent:.2f}'
+    )
     sideways = 1.0
     if session.pulls:
         pulled = fit_gain(session.pull_loads, session.pulls, PULL)
@@ -238,10 +243,7 @@ def calibrate(console: Console, content: Model, session: Session, entry: dict[st
         beside |= {'gain': gain, 'gain_sd': gain_sd}
         entry['sideways'] = aside | {k: round(v / normal.gain, 5) for k, v in beside.items()}
         sideways = gain / normal.gain
-    # The gain is known from now on, so the deviations shrink, once.
-    once = CALIBRATED_KEY not in content.card.training
-    deviation = CALIBRATED_DEVIATION if once else 1.0
-    scaled = with_gain(content, normal.gain, sideways, deviation)
+    scaled = with_gain(content, normal.gain, sideways, normal.share)
     training = content.card.training | {CALIBRATED_KEY: entry}
     if session.serial:
         training[SERIAL_KEY] = session.serial
@@ -271,10 +273,6 @@ def _report(console: Console, title: str, entry: dict[str, Any]) -> None:
     console.print(f'gain {entry["gain"]:.3f} +- {entry["gain_sd"]:.3f} (one standard deviation)')
 
 
-CHECK_TOLERANCE = 0.1
-"""Relative change that another place on the gel and another day make (simulated: 0.06)."""
-
-
 def check_gain(console: Console, session: Session, content: Model) -> dict[str, Any]:
     """Print and return the ratio of each known load to the force of a calibrated model.
 
@@ -286,7 +284,7 @@ def check_gain(console: Console, session: Session, content: Model) -> dict[str, 
     checks = []
     for load, plateau in zip(session.loads, session.plateaus, strict=True):
         fit = fit_gain([load], [plateau])
-        allowed = CHECK_TOLERANCE + 2.0 * float(np.hypot(fit.gain_sd, relative_sd))
+        allowed = 2.0 * float(np.hypot(fit.gain_sd, relative_sd))
         text = (
             f'{load.grams:.1f} g: known {load.force_n:.3f} N, estimated {plateau.size_n:.3f} N;'
             f' ratio {fit.gain:.3f}, {1.0 - allowed:.2f} to {1.0 + allowed:.2f} pass'

@@ -159,12 +159,13 @@ def test_the_example_calibrates_by_the_same_weights(bag, tmp_path, run_example):
     assert read_model(tmp_path / 'my_sensor.safetensors').card.training[SERIAL_KEY]
 
 
-def test_deviations_become_those_of_a_known_gain_once(done, bag, tmp_path):
+def test_deviations_become_those_of_a_known_gain(done, bag, tmp_path):
     words = ('--bag', bag, '--loads', '20,50,100', '--model', done / 'm.safetensors')
     result = calibrate(*words, '--out', tmp_path / 'again.safetensors')
     assert result.exit_code == 0, result.output
     once, twice = map(read_model, (done / 'm.safetensors', tmp_path / 'again.safetensors'))
-    assert twice.tensors['deviation'][1] == once.tensors['deviation'][1]
+    # The share of a model for unknown sensors is replaced, not shrunk again and again.
+    assert twice.tensors['deviation'][1] == pytest.approx(once.tensors['deviation'][1], rel=0.05)
 
 
 def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):

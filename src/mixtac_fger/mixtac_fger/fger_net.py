@@ -89,14 +89,7 @@ def checked_config(model: Model) -> FgerConfig:
     return config
 
 
-CALIBRATED_DEVIATION = 0.3
-"""Factor of the share of the force in its deviation once the gain of the sensor is known.
-
-The deviations of a model for unknown sensors include their unknown stiffness.
-"""
-
-
-def with_gain(model: Model, gain: float, sideways: float = 1.0, deviation: float = 1.0) -> Model:
+def with_gain(model: Model, gain: float, sideways: float = 1.0, share: float = 0.0) -> Model:
     """Return an FGER-Net model whose forces are `gain` times those of `model`, deviations as well.
 
     Everything that makes a force is multiplied, everything that reads one is divided, so that the
@@ -108,7 +101,8 @@ def with_gain(model: Model, gain: float, sideways: float = 1.0, deviation: float
         gain: Above 0.
         sideways: Further gain of sideways force and torsion, above 0; without effect where the
             model gives none.
-        deviation: Factor of the share of the normal force in its deviation.
+        share: Share of the normal force in its deviation from now on; 0 leaves that of `model`,
+            which for unknown sensors includes their unknown stiffness.
 
     Raises:
         ModelError: A gain is no such number, or as `checked_config`.
@@ -121,7 +115,8 @@ def with_gain(model: Model, gain: float, sideways: float = 1.0, deviation: float
     for name in ('frame.press', 'increment.2.weight', 'increment.2.bias'):
         tensors[name] *= np.float32(gain)
     tensors['gates_force.weight'] /= np.float32(gain)
-    tensors['deviation'][:2] *= np.array([gain, deviation], np.float32)
+    floor, old, _ = tensors['deviation']
+    tensors['deviation'][:2] = gain * floor, share or old
     if 'shear.unit' in tensors:
         tensors['shear.unit'] *= np.float32(gain) * np.float32(sideways)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from mixtac_fger.force_calibration import (
     GRAVITY,
+    PRESS,
     PULL,
     ForceCalibrationError,
     Load,
@@ -99,6 +100,15 @@ def test_the_gain_is_recovered_within_its_stated_uncertainty(
     assert abs(found.gain - gain) < 3.0 * found.gain_sd
     assert found.gain_sd < 0.06 * found.gain
     assert max(abs(point.residual_n) for point in found.points) < 0.1
+
+
+def test_a_gel_that_stiffens_is_calibrated_with_a_wider_share():
+    straight = calibrated(sd_g=0.1)
+    assert straight.exponent == pytest.approx(1.0, abs=0.03)
+    assert PRESS.spread < straight.share < 1.2 * PRESS.spread
+    stiffens = calibrated(sd_g=0.1, known=[each * (each / 50.0) ** 0.2 for each in GRAMS])
+    assert stiffens.exponent == pytest.approx(1.2, abs=0.03)
+    assert stiffens.share > 1.3 * straight.share
 
 
 @pytest.mark.parametrize('conditions', [{'withheld': 0.2}, {'staircase': True}])

@@ -26,7 +26,6 @@ from mixtac.figures import FORCE, PAPER, new_axes, save_figure
 from mixtac_core.events.arrays import Events
 from mixtac_core.recordings.messages import left_aligned
 from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_learning.experiments.harness import PRESET, Context, Outcome, Row, Value, experiment
@@ -59,8 +58,7 @@ ENCODED_US = 8_000
 
 @cache
 def _model() -> Model:
-    model = read_model(find_model(DEFAULT_MODEL))
-    return with_gain(model, 1.0, deviation=CALIBRATED_DEVIATION)
+    return read_model(find_model(DEFAULT_MODEL))
 
 
 @lru_cache(maxsize=16)
