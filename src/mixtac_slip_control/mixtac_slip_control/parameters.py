@@ -93,7 +93,7 @@ class SlipControlParameters:
             force at enabling. It never presses for more.
         max_force: Measured normal force above which slip control stops.
         force_share: Share of max_force up to which the arm presses. The rest is for the error of
-            the sensor: 1.96 standard deviations of a calibrated force, of 10.4 % each.
+            the sensor: at the default 2.5 standard deviations of a calibrated force (8 %).
         max_total: Largest advance since enabling, whatever the force allows.
         gripper: Command that is published on `grip` for a gripper: the `force` to hold, a closing
             `speed`, or `none`.
