@@ -286,16 +286,20 @@ class FramePreparation:
         cell_solvers(along_x, along_y, self._cells, per_bin, ridge, solvers)
         return EventGuide(along_x, along_y, solvers)
 
-    def compare(self, contrast: Contrast, reference: F32) -> F32:
-        """Return the moments of the displacement since the reference, float32 [14].
+    def compare(self, contrast: Contrast, reference: F32) -> tuple[F32, PictureFigures]:
+        """Compare a frame with the reference.
 
         The part that a smooth change of light since the reference explains is first removed from
-        the frame, and the reference grows as the gel did up to the frame before. Frames must be in
-        order of time; another reference starts anew.
+        the frame, and the reference grows as the gel did up to the frame before. A frame that no
+        contact explains says nothing of the growth. Frames must be in order of time; another
+        reference starts anew.
 
         Args:
             contrast: The frame.
             reference: Coarse log contrast without contact.
+
+        Returns:
+            The moments of the displacement since the reference, float32 [14], and what it explains.
         """
         config = self._config
         if reference is not self._reference:
@@ -307,12 +311,10 @@ class FramePreparation:
         radius, ridge = config.flow_radius, config.flow_regularisation
         displacement(reference, self._even, radius, ridge, self._work, self._flow)
         moments(self._flow, self._moments)
-        self._growth.follow(self._flow, float(self._moments[0]))
-        return self._moments.copy()
-
-    def picture(self) -> PictureFigures:
-        """Return the comparison of the frame of the latest `compare` with the reference."""
-        return picture_figures(self.grown, self._even, self._flow)
+        picture = picture_figures(reference, self._even, self._flow)
+        if picture.unexplained() < 1.0:
+            self._growth.follow(self._flow, float(self._moments[0]))
+        return self._moments.copy(), picture
 
     @property
     def growth(self) -> float:

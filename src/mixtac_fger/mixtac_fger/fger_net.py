@@ -180,8 +180,8 @@ class FgerEstimator(Estimator):
             if found is None:
                 return None
             reference, number = found
-            shown = self.path.measure(self._preparation.compare(contrast, reference))
-            picture = self._preparation.picture()
+            moments, picture = self._preparation.compare(contrast, reference)
+            shown = self.path.measure(moments)
             content = _Content(shown, self._preparation.guide(contrast))
             coarse = contrast.coarse
             touch, meter = None, self._touch

@@ -53,8 +53,7 @@ def compared(preparation, trial) -> Callable[[np.ndarray], PictureFigures]:
 
     def compare(image: np.ndarray) -> PictureFigures:
         contrast = preparation.contrast(image)
-        preparation.compare(contrast, reference)
-        return preparation.picture()
+        return preparation.compare(contrast, reference)[1]
 
     return compare
 
@@ -108,7 +107,7 @@ def test_no_contact_and_no_lamp_is_a_fault(compared, preparation, trial, gain):
     # Nor do the moments change much with the light.
     reference = preparation.contrast(trial.frames[0]).coarse
     even, shaded = (
-        preparation.compare(preparation.contrast(image.astype(np.uint16)), reference)
+        preparation.compare(preparation.contrast(image.astype(np.uint16)), reference)[0]
         for image in (trial.frames[15], trial.frames[15] * np.linspace(0.7, 1.0, WIDTH))
     )
     assert abs(shaded[0] - even[0]) < 0.1 * abs(even[0])

@@ -272,7 +272,7 @@ def _features(
     first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
     reference = mean_contrast([c.coarse for c in first])
     moments = [
-        preparation.compare(preparation.contrast(trial.frames[frame]), reference)
+        preparation.compare(preparation.contrast(trial.frames[frame]), reference)[0]
         for frame in frames
     ]
     out = np.zeros(window.shape, np.float32)
