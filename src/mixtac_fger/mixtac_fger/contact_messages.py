@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
 from mixtac_core.node import topics
-from mixtac_core.node.topics import us_to_stamp
+from mixtac_core.recordings.messages import set_header
 from mixtac_fger.displacement import field_places
 from mixtac_msgs.msg import Contact
 
@@ -82,14 +82,14 @@ class ContactOutputs:
         for estimate in estimates:
             contact = estimate.contact
             if contact is not None and topics.CONTACT in used:
-                message = stamp(Contact(), estimate.end_us, frame_id)
+                message = set_header(Contact(), 1000 * estimate.end_us, frame_id)
                 message.in_contact, message.located = contact.touching, contact.shape is not None
                 message.frame_age = estimate.frame_age_us * 1e-6
                 if contact.shape is not None:
                     fill_shape(message, contact.shape, scale, size)
                 used[topics.CONTACT].publish(message)
             if contact is not None and contact.shape and topics.CONTACT_POINT in used:
-                place = stamp(PointStamped(), estimate.end_us, frame_id)
+                place = set_header(PointStamped(), 1000 * estimate.end_us, frame_id)
                 place.point = Point(x=contact.shape.x_mm * MM, y=contact.shape.y_mm * MM)
                 used[topics.CONTACT_POINT].publish(place)
         carried = settings.displacement == 'windows'
@@ -103,23 +103,11 @@ class ContactOutputs:
         moved = np.asarray((tracker.moved() if carried else field.moved) * signs, np.float32)
         if topics.DISPLACEMENT in used:
             image = field_image(moved)
-            used[topics.DISPLACEMENT].publish(stamp(image, now_us, frame_id))
+            used[topics.DISPLACEMENT].publish(set_header(image, 1000 * now_us, frame_id))
         if topics.DISPLACEMENT_POINTS in used:
             cloud = field_cloud(moved, field, scale, size)
-            used[topics.DISPLACEMENT_POINTS].publish(stamp(cloud, now_us, frame_id))
-
-
-def stamp(message: Any, stamp_us: int, frame_id: str) -> Any:  # noqa: ANN401
-    """Write the header of a message, and return the message.
-
-    Args:
-        message: Any message with a header.
-        stamp_us: Camera clock [us].
-        frame_id: Frame of the content.
-    """
-    message.header.stamp = us_to_stamp(stamp_us)
-    message.header.frame_id = frame_id
-    return message
+            set_header(cloud, 1000 * now_us, frame_id)
+            used[topics.DISPLACEMENT_POINTS].publish(cloud)
 
 
 def fill_shape(

@@ -24,8 +24,9 @@ from mixtac_core.node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_core.node.files import state_file
 from mixtac_core.node.process import freeze_loaded
 from mixtac_core.node.topics import stamp_to_us
+from mixtac_core.recordings.messages import set_header
 from mixtac_fger.config import ModelError
-from mixtac_fger.contact_messages import ContactOutputs, stamp
+from mixtac_fger.contact_messages import ContactOutputs
 from mixtac_fger.estimator import (
     CameraFacts,
     check_camera,
@@ -258,7 +259,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         feed.published(len(estimates), packet.stamp_ns, now_ns)
         if self._quality.get_subscription_count():
             for estimate in estimates:
-                quality = stamp(ForceQuality(), estimate.end_us, self._settings.frame_id)
+                frame_id, stamp_ns = self._settings.frame_id, 1000 * estimate.end_us
+                quality = set_header(ForceQuality(), stamp_ns, frame_id)
                 fill_quality(quality, estimate)
                 self._quality.publish(quality)
         self._outputs.publish(feed.estimator, estimates, self._settings, self._contact)

@@ -222,15 +222,14 @@ def temperature(celsius: float, time_us: int, frame_id: str, new: New = ros_mess
 
 
 def _stamped(topic: topics.Topic, t_ns: int, frame_id: str, new: New) -> Message:
-    message = new(topic.type_name)
-    set_header(message, t_ns, frame_id)
-    return message
+    return set_header(new(topic.type_name), t_ns, frame_id)
 
 
-def set_header(message: Message, t_ns: int, frame_id: str) -> None:
-    """Write the stamp [ns] and the frame of a message's header."""
+def set_header(message: Message, t_ns: int, frame_id: str) -> Message:
+    """Write the stamp [ns] and the frame of a message's header, and return the message."""
     _set_time(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
+    return message
 
 
 def _set_time(stamp: Message, t_ns: int) -> None:

@@ -22,8 +22,9 @@ from mixtac_core.events.packets import read_packet
 from mixtac_core.node import topics
 from mixtac_core.node.files import new_folder, read_data, write_json
 from mixtac_core.node.topics import stamp_to_ns
-from mixtac_core.recordings.bag import BagFile, check_new, fit_path, typestore
+from mixtac_core.recordings.bag import BagFile, blank_message, check_new, fit_path, typestore
 from mixtac_core.recordings.bag_writer import McapBag
+from mixtac_core.recordings.messages import set_header
 from mixtac_core.recordings.recording import RecordingError
 from mixtac_fger.alignment.align import arrived_together
 from mixtac_fger.alignment.clock_fit import AlignmentError, ClockFit, GapError
@@ -31,7 +32,6 @@ from mixtac_fger.alignment.histories import F64, EventHistory, FrameHistory, Rec
 
 LONGEST_S: Final = 3600.0
 """Longest span of frames and events that is kept [s]."""
-_NS: Final = 1_000_000_000
 
 
 def read_recording(
@@ -152,7 +152,6 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         FileError: It cannot be written.
     """
     check_new(out)
-    types = typestore()
     fit_topic = topics.CLOCK_FIT.resolved(namespace)
     with BagFile(bag) as source, new_folder(out) as made, McapBag(made) as writer:
         handles = writer.add_topics_of(source, fit_topic)
@@ -163,7 +162,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         )
         own = replace(fit, reference_epoch_s=fit.camera_epoch_us * 1e-6, anchors=anchors)
         own = own.with_map(1.0, 0.0, fit.covariance)
-        writer.write(fit_handle, source.start_ns, _fit_message(types, own, source.start_ns))
+        writer.write(fit_handle, source.start_ns, _fit_message(own, source.start_ns))
         raw = handles.keys() - {reference}
         for topic, received_ns, message in source.messages(*handles, raw=raw):
             data = message
@@ -171,17 +170,13 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 stamp = message.header.stamp
                 seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
                 moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
-                stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
-                data = types.serialize_cdr(message, source.types[reference])
+                set_header(message, moved_ns, message.header.frame_id)
+                data = typestore().serialize_cdr(message, source.types[reference])
             writer.write(handles[topic], received_ns, data)
 
 
-def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
-    fields: dict[str, Any] = {
-        name: np.array(value) if isinstance(value, list) else value
-        for name, value in fit.to_fields().items()
-    }
-    time = types.types['builtin_interfaces/msg/Time'](*divmod(now_ns, _NS))
-    header = types.types['std_msgs/msg/Header'](stamp=time, frame_id='')
-    kind = topics.CLOCK_FIT.type_name
-    return types.serialize_cdr(types.types[kind](header=header, **fields), kind)
+def _fit_message(fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
+    message = set_header(blank_message(topics.CLOCK_FIT.type_name), now_ns, '')
+    for name, value in fit.to_fields().items():
+        setattr(message, name, np.array(value) if isinstance(value, list) else value)
+    return typestore().serialize_cdr(message, topics.CLOCK_FIT.type_name)
