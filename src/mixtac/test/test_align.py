@@ -78,7 +78,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             values[2] = force_at(np.array([t_s]))[0] + rng.normal(0.0, 0.01)
             stamp_ns = round(1e9 * (REFERENCE_S + RATE * t_s))
             received_ns = 1_000_000_000 + 1_250_000 * k
-            writer.wrench(topics.REFERENCE_WRENCH, stamp_ns, values, '', received_ns)
+            data = topics.WrenchWriter('').serialised(stamp_ns, values.tolist())
+            writer.put(topics.REFERENCE_WRENCH, received_ns, data)
     return path
 
 

@@ -120,26 +120,6 @@ class StreamWriter:
             self.put(topics.EXTERNAL_EDGES, received_ns, message)
             self._edges += 1
 
-    def wrench(
-        self,
-        topic: Topic,
-        stamp_ns: int,
-        values: NDArray[np.float64],
-        frame_id: str,
-        received_ns: int,
-    ) -> None:
-        """Write a wrench.
-
-        Args:
-            topic: `FORCE` or `REFERENCE_WRENCH`.
-            stamp_ns: Stamp on the clock of that topic [ns].
-            values: Force [N] and torque [N m], float64 [6].
-            frame_id: Frame of the force.
-            received_ns: Host time of its reception [ns since the Unix epoch].
-        """
-        data = topics.WrenchWriter(frame_id).serialised(stamp_ns, values.tolist())
-        self.put(topic, received_ns, data)
-
 
 def import_recording(
     path: Path,
@@ -201,11 +181,13 @@ def _write(
     origin_ns = int(stamps_ns[0]) - 1000 * recording.info.start_us if other_clock else 0
     due_ns = np.maximum.accumulate(stamps_ns) - origin_ns
     written = received_ns = 0
+    wrenches = topics.WrenchWriter(REFERENCE_FRAME)
 
     def write_forces(until: int) -> None:
         for row in range(written, until):
-            force_ns, due = int(stamps_ns[row]), min(max(int(due_ns[row]), 0), received_ns)
-            writer.wrench(REFERENCE_WRENCH, force_ns, values[row], REFERENCE_FRAME, due)
+            data = wrenches.serialised(int(stamps_ns[row]), values[row].tolist())
+            due = min(max(int(due_ns[row]), 0), received_ns)
+            writer.put(REFERENCE_WRENCH, due, data)
 
     for piece in recording.pieces():
         counts.add(piece)

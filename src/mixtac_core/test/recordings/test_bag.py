@@ -6,12 +6,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from recording_samples import START_US, Bag, some_events
 
 from mixtac_core.events.packets import CodecError
-from mixtac_core.node.topics import FORCE, TOPICS, message_class
+from mixtac_core.node.topics import FORCE, TOPICS, WrenchWriter, message_class
 from mixtac_core.recordings.bag import (
     BagFile,
     blank_message,
@@ -37,8 +36,8 @@ def bag(tmp_path: Path) -> Path:
     writer = BagWriter(tmp_path / 'bag')
     stream = StreamWriter(writer, (346, 260))
     for index, stamp_ns in enumerate(STAMPS_NS):
-        force = np.array([0, 0, 0.1 * index, 0, 0, 0])
-        stream.wrench(FORCE, stamp_ns, force, 'ft', 10**9 + index)
+        force = (0.0, 0.0, 0.1 * index, 0.0, 0.0, 0.0)
+        stream.put(FORCE, 10**9 + index, WrenchWriter('ft').serialised(stamp_ns, force))
     stream.events(EVENTS, START_US + 41_000, 2 * 10**9)
     writer.close()
     assert writer.dropped == 0

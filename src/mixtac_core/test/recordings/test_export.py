@@ -14,7 +14,7 @@ from recording_samples import START_US, Bag, assert_equal, read, some_events
 
 from mixtac_core.events.readings import EdgeKind, Edges, Frame, InertialSamples
 from mixtac_core.node.files import FileError
-from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
+from mixtac_core.node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH, WrenchWriter
 from mixtac_core.recordings.bag import BagFile
 from mixtac_core.recordings.bag_writer import McapBag
 from mixtac_core.recordings.export import WRITERS, export_recording
@@ -56,7 +56,8 @@ def bag(tmp_path_factory) -> Path:
         for frame in FRAMES:
             writer.frame(frame, 0, 1000 * frame.exposure_end_us)
         for stamp, row in zip(STAMPS_NS.tolist(), WRENCHES, strict=True):
-            writer.wrench(REFERENCE_WRENCH, stamp, row, REFERENCE_FRAME, 1000 * START_US)
+            data = WrenchWriter(REFERENCE_FRAME).serialised(stamp, row.tolist())
+            writer.put(REFERENCE_WRENCH, 1000 * START_US, data)
     return path
 
 

@@ -34,8 +34,9 @@ def bag(
             event = np.array([t_us]), np.zeros(1, np.uint16), np.zeros(1, np.uint16)
             writer.events(Events(*event, np.ones(1, np.bool_)), t_us + 1000, SECOND_NS)
         for k, (stamp_ns, normal) in enumerate(samples):
-            values = np.array([0.0, 0.0, normal, 0.0, 0.0, 0.0])
-            writer.wrench(topics.REFERENCE_WRENCH, stamp_ns, values, '', SECOND_NS + k)
+            values = (0.0, 0.0, normal, 0.0, 0.0, 0.0)
+            data = topics.WrenchWriter('').serialised(stamp_ns, values)
+            writer.put(topics.REFERENCE_WRENCH, SECOND_NS + k, data)
     return path
 
 
