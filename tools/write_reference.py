@@ -101,8 +101,6 @@ def reference() -> str:
     page = (ROOT / 'docs' / 'reference.md').read_text()
     lines = [page.partition('\n## Parameters of')[0]]
     for node, schema in SCHEMAS.items():
-        if node == 'supervisor':  # `mixtac up slip` has options for both of its parameters
-            continue
         lines += [f'## Parameters of `{node}`', '']
         lines += ['| parameter | default | unit | allowed | at run time | what |']
         lines += ['|---|---|---|---|---|---|']
