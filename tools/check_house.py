@@ -14,7 +14,7 @@ Fails when
   those of package_format3.xsd in their order.
 
 Imports under `TYPE_CHECKING` and inside functions count like all others. The table of modules and
-code lines per package, and the list of small modules with one importer, are printed and never fail.
+code lines per package is printed and never fails.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ FLOORS = {
 RUN = frozenset({'mixtac_core', 'mixtac_driver', 'mixtac_fger', 'mixtac_slip_control'})
 NOT_ON_ROBOTS = ('torch', 'matplotlib', 'mixtac_sim')
 MAX_CODE_LINES = 400
-SMALL = 60
 UNSAFE = re.compile(r'pickle\.loads?\(|torch\.load\(|yaml\.load\(|allow_pickle=True')
 UNRELIABLE = re.compile(r'async def |\.create_task\(|event_callbacks=')
 """What EventsExecutor loses or never ends (ros2/rclpy#1718, ros2/rclpy#1644)."""
@@ -275,16 +274,6 @@ def check_ceilings(modules: list[Module], most: Mapping[str, int]) -> list[str]:
     ]
 
 
-def importers(modules: list[Module]) -> dict[str, set[str]]:
-    """Return by which modules each module is imported."""
-    found: dict[str, set[str]] = defaultdict(set)
-    names = {module.name for module in modules}
-    for module in modules:
-        for name in module.imports & names:
-            found[name].add(module.name)
-    return found
-
-
 def table(modules: list[Module]) -> str:
     """Return the table of modules, code lines and median module per package."""
     rows = ['package                modules  code lines  median module']
@@ -303,18 +292,6 @@ def table(modules: list[Module]) -> str:
     return '\n'.join(rows)
 
 
-def small_rooms(modules: list[Module]) -> list[str]:
-    """Return the small modules that one module imports: rooms that may not be worth a door."""
-    by = importers(modules)
-    return [
-        f'  {module.name} ({module.code_lines} code lines, for {next(iter(by[module.name]))})'
-        for module in modules
-        if module.path.name != '__init__.py'
-        and module.code_lines < SMALL
-        and len(by[module.name]) == 1
-    ]
-
-
 def main() -> int:
     """Print the size of the house and one line per fault."""
     parser = argparse.ArgumentParser(description='check the structure of the source tree')
@@ -325,8 +302,6 @@ def main() -> int:
     print(table(modules))
     if options.table:
         return 0
-    small = small_rooms(modules)
-    print(f'modules below {SMALL} code lines with one importer: {len(small)}', *small, sep='\n')
     wrong = check(options.root, modules)
     print('\n'.join(wrong) or f'{len(FLOORS)} packages in order')
     return 1 if wrong else 0
