@@ -61,11 +61,7 @@ TEMPLATES = {
     'rosidl_generator_py': {'_idl.py.em': '_%s.py', '_idl_support.c.em': '_%s_s.c'},
 }
 """Files that each generator writes for one interface, by the template."""
-HEADERS = {
-    'rosidl_generator_c': 'ROSIDL_GENERATOR_C',
-    'rosidl_typesupport_fastrtps_c': 'ROSIDL_TYPESUPPORT_FASTRTPS_C',
-    'rosidl_typesupport_introspection_c': 'ROSIDL_TYPESUPPORT_INTROSPECTION_C',
-}
+HEADERS = ('rosidl_generator_c', *TYPE_SUPPORTS)
 """Generators whose files include a header that names what a library exports; on Linux, all."""
 
 
@@ -131,16 +127,16 @@ class Package:
                     target /= pattern % snake(path.stem)
                     target.parent.mkdir(parents=True, exist_ok=True)
                     expand_template(template, data, str(target), template_basepath=templates)
-        for generator, macro in HEADERS.items():
-            self._write_visibility(generator, macro)
+        for generator in HEADERS:
+            self._write_visibility(generator)
         self._write_module(contents)
 
-    def _write_visibility(self, generator: str, macro: str) -> None:
+    def _write_visibility(self, generator: str) -> None:
         name = f'{generator}__visibility_control.h'
         folder = self.work / generator / self.name / 'msg'
         folder.mkdir(parents=True, exist_ok=True)
         kinds = ('PUBLIC', 'EXPORT', 'IMPORT')
-        lines = [f'#define {macro}_{kind}_{self.name}' for kind in kinds]
+        lines = [f'#define {generator.upper()}_{kind}_{self.name}' for kind in kinds]
         (folder / name).write_text('#pragma once\n' + '\n'.join(lines) + '\n')
 
     def _write_module(self, contents: dict[Path, IdlContent]) -> None:
