@@ -140,8 +140,9 @@ def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[float, tuple[fl
     """Return events or frames decoded per second, `RATIOS`, and the speed of the copy [B/s]."""
     decoder = StreamDecoder(Geometry(), capacity=TRANSFER_BYTES // 2)
     target = np.empty_like(words)
-    _decode(decoder, words)
-    counters = decoder.counters
+    steps = range(0, len(words), TRANSFER_BYTES // 2)
+    batches = (each for k in steps for each in decoder.push(words[k : k + steps.step]))
+    events, frames = np.sum([(len(each.events), len(each.frames)) for each in batches], axis=0)
     cuts = range(PIECE_BYTES // 2, len(words), PIECE_BYTES // 2)
     pieces, targets = np.split(words, cuts), np.split(target, cuts)
     decoding, copying = _shortest(
@@ -152,9 +153,9 @@ def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[float, tuple[fl
         seconds,
     )
     rate = words.nbytes / copying
-    output = counters.events * EVENT_BYTES + counters.frames * FRAME_BYTES
-    ratios = (decoding / copying, decoding * rate / output)
-    return (counters.events or counters.frames) / decoding, ratios, rate
+    output = events * EVENT_BYTES + frames * FRAME_BYTES
+    ratios = (decoding / copying, float(decoding * rate / output))
+    return float(events or frames) / decoding, ratios, rate
 
 
 def start_seconds() -> float:

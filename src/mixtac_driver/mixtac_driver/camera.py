@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
@@ -74,8 +74,6 @@ class SourceStatus:
     trouble: str = ''
 
 
-LOSSES = ('words_unexpected', 'frames_dropped', 'imu_dropped', 'bytes_dropped')
-"""Counters of the decoder that stay at zero on an intact stream."""
 LONGEST_GET_S = 0.1
 LONGEST_HELD_US = 2000
 """Camera time over which data are collected at most, where event packets are longer [us]."""
@@ -166,7 +164,7 @@ class Davis346:
             identity=self._identity,
             clock=self.clock,
             origin=self.control.epochs.origin if self.control.epochs else None,
-            losses={name.replace('_', ' '): getattr(counted, name) for name in LOSSES},
+            losses={name.replace('_', ' '): n for name, n in asdict(counted).items()},
             figures={
                 'usb bytes': usb.size,
                 'usb stalls': usb.stalls,

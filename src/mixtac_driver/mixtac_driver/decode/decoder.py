@@ -72,7 +72,7 @@ class StreamDecoder:
 
     @property
     def counters(self) -> DecoderCounters:
-        """What was decoded and dropped so far."""
+        """What was dropped or unknown so far."""
         return DecoderCounters(*self._counters.item())
 
     @property

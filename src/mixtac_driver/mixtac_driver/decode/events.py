@@ -50,7 +50,7 @@ def _is_usual(words: Words, start: int, rows: int, columns: int) -> bool:
 
 
 @njit(nogil=True, forceinline=True)
-def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Columns) -> int:
+def take_block(words: Words, start: int, n: int, s: Record, out: Columns) -> int:
     """Decode the next BLOCK words if they are the usual ones.
 
     That is, all are event words inside the array, no time stamp goes back, and the row is known.
@@ -60,7 +60,6 @@ def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Colu
         start: Index of the first word, at most W - BLOCK.
         n: Events in the output, at most its size - BLOCK. What is behind them is overwritten.
         s: State.
-        c: Counters.
         out: Times, rows, columns and polarities, as in `Buffers`.
 
     Returns:
@@ -92,10 +91,9 @@ def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Colu
         word = column_out[k]
         column_out[k] = word & uint16(0xFFF)
         polarity_out[k] = uint8(word >> 12) & uint8(1)
-    events: int = int64(end - first)
     s.time = offset + int64(header >> uint64(16))
     s.row = int64(header & uint64(0xFFF))
-    c.events += events
+    events: int = int64(end - first)
     return n + events
 
 
@@ -124,7 +122,6 @@ def take_event_word(word: int, n: int, s: Record, c: Record, out: Columns) -> in
     elif address >= s.dvs_columns or s.row < 0:
         c.words_unexpected += 1
     else:
-        c.events += 1
         t_out, row_out, column_out, polarity_out = out
         t_out[n] = s.time
         row_out[n] = s.row

@@ -206,5 +206,4 @@ def frame_end(s: Record, c: Record) -> bool:
     if s.exposure_start < 0 or s.exposure_end < s.exposure_start:
         s.exposure_start = s.frame_start
         s.exposure_end = s.frame_end
-    c.frames += 1
     return True

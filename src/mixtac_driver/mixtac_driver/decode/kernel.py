@@ -124,7 +124,6 @@ def _imu_end(s: Record, c: Record, r: Record) -> None:
     r.imu_t[r.imu_count] = s.time
     r.imu_count += 1
     s.imu_index = IMU_OUTSIDE
-    c.imu += 1
 
 
 @njit(nogil=True)
@@ -134,7 +133,6 @@ def _take_reset(s: Record, c: Record) -> None:
     s.time_before_reset = s.time
     s.time = 0
     s.wrap_base = 0
-    c.resets += 1
 
 
 @njit(nogil=True)
@@ -148,7 +146,6 @@ def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
         r.edge_t[r.edge_count] = s.time
         r.edge_kind[r.edge_count] = code
         r.edge_count += 1
-        c.edges += 1
     elif code == 5:
         _imu_drop(s, c)
         s.imu_index = IMU_AWAITS_INFO
@@ -201,7 +198,7 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
     s, c, r, p = b.state[0], b.counters[0], b.readings[0], b.pixels[0]
     out = (b.t, b.row, b.column, b.polarity)
     size, capacity = len(words), len(b.t)
-    first = next_block = i
+    next_block = i
     reason = DONE
     while i < size and reason == DONE:
         if n >= capacity or max(r.imu_count, r.edge_count) >= READINGS_CAPACITY:
@@ -214,7 +211,7 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
             continue
         if kind >= 8 or 1 <= kind <= 3:
             if next_block <= i <= size - BLOCK and n <= capacity - BLOCK:
-                end = take_block(words, i, n, s, c, out)
+                end = take_block(words, i, n, s, out)
                 if end >= 0:
                     i, n = i + BLOCK, end
                     continue
@@ -230,5 +227,4 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
         else:
             _take_data(word, s, c, r)
         i += 1
-    c.words += i - first
     return i, n, reason

@@ -35,15 +35,9 @@ READINGS_CAPACITY = 256
 
 @dataclass(frozen=True, slots=True)
 class DecoderCounters:
-    """Counts of decoded, dropped and unknown data since the decoder was created.
+    """Counts of dropped and unknown data since the decoder was created: 0 on an intact stream.
 
     Attributes:
-        words: Words decoded.
-        events: Events decoded.
-        frames: Frames decoded.
-        imu: Inertial samples decoded.
-        edges: Edges of the external input and the generator.
-        resets: Resets of the camera's clock.
         words_unexpected: Words ignored because they are unknown, name no pixel of the array, do not
             belong where they are, or would set the time back.
         frames_dropped: Frames dropped because they were incomplete.
@@ -51,12 +45,6 @@ class DecoderCounters:
         bytes_dropped: Odd bytes dropped at the end of transfers.
     """
 
-    words: int = 0
-    events: int = 0
-    frames: int = 0
-    imu: int = 0
-    edges: int = 0
-    resets: int = 0
     words_unexpected: int = 0
     frames_dropped: int = 0
     imu_dropped: int = 0
