@@ -18,18 +18,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from mixtac_core.events.errors import MixtacError
 from mixtac_core.node.base_node import BaseNode, run
 from mixtac_core.node.files import share
+from mixtac_core.node.process import GraphError
 from mixtac_core.node.topics import frame_prefix
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MACRO = '{http://www.ros.org/wiki/xacro}macro'
 PREFIX = '${prefix}'
-
-
-class DescriptionError(MixtacError):
-    """A URDF that cannot be read without xacro."""
 
 
 class FramesNode(BaseNode, Node):  # type: ignore[misc]
@@ -40,7 +36,7 @@ class FramesNode(BaseNode, Node):  # type: ignore[misc]
         try:
             from tf2_msgs.msg import TFMessage
         except ModuleNotFoundError as error:
-            raise DescriptionError(
+            raise GraphError(
                 'tf2_msgs is not installed', remedy='install ROS 2: the wheels do not have it'
             ) from error
         macro = share('mixtac_bringup') / 'urdf' / 'fingertip.urdf.xacro'

@@ -34,10 +34,6 @@ class TareError(MixtacError):
     """A request for a new zero at a time when it would be wrong."""
 
 
-class ReferenceFileError(MixtacError):
-    """A stored no-contact reference that cannot be read, written or used."""
-
-
 _REMEDY = 'delete it, or write a new one with ~/tare while the sensor is untouched'
 
 
@@ -160,33 +156,28 @@ class Reference:
         """Write the reference to a `.npz` file; an existing file is replaced.
 
         Raises:
-            ReferenceFileError: There is no reference yet, or the file cannot be written.
+            FileError: There is no reference yet, or the file cannot be written.
         """
         if self.array is None:
-            raise ReferenceFileError('there is no reference yet', remedy='show still frames first')
-        try:
-            with replacing(path) as scratch, scratch.open('wb') as file:
-                np.savez(file, contrast=self.array, preparation=self._preparation)
-        except FileError as error:
-            raise ReferenceFileError(f'reference: {error.message}', remedy=error.remedy) from error
+            raise FileError('there is no reference yet', remedy='show still frames first')
+        with replacing(path) as scratch, scratch.open('wb') as file:
+            np.savez(file, contrast=self.array, preparation=self._preparation)
 
     def load(self, path: Path) -> F32:
         """Read a file that `save` wrote, use its reference and return it.
 
         Raises:
-            ReferenceFileError: The file is missing or damaged, or its reference was prepared in
+            FileError: The file is missing or damaged, or its reference was prepared in
                 another way.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
                 contrast, preparation = np.asarray(file['contrast']), file['preparation']
         except Exception as error:  # parsers raise whatever damage leads them to
-            raise ReferenceFileError(
-                f'{path} is not a reference file ({error})', remedy=_REMEDY
-            ) from error
+            raise FileError(f'{path} is not a reference file ({error})', remedy=_REMEDY) from error
         fits = np.array_equal(preparation, self._preparation) and contrast.shape == self._shape
         if not fits or not np.isfinite(contrast).all():
-            raise ReferenceFileError(
+            raise FileError(
                 f'reference {path} is not an image as this model prepares it', remedy=_REMEDY
             )
         array = np.ascontiguousarray(contrast, np.float32)

@@ -10,16 +10,10 @@ import numpy as np
 import pytest
 from toy_sensor import SOUND
 
+from mixtac_core.node.files import FileError
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.reference import (
-    CONTACT,
-    REST_FRAMES,
-    Reference,
-    ReferenceFileError,
-    TareError,
-    Zero,
-)
+from mixtac_fger.reference import CONTACT, REST_FRAMES, Reference, TareError, Zero
 from mixtac_fger.validity import PictureFigures
 
 
@@ -127,7 +121,7 @@ def test_a_reference_comes_back_as_it_was(tmp_path, stored):
         assert np.array_equal(found, stored.array)
         assert np.array_equal(other.array, stored.array)
     assert [file.name for file in path.parent.iterdir()] == ['reference.npz']
-    with pytest.raises(ReferenceFileError):
+    with pytest.raises(FileError):
         Reference(replace(FgerConfig(), log_floor=0.1)).load(path)
 
 
@@ -137,7 +131,7 @@ def test_damaged_files_are_refused(tmp_path, stored):
     data = path.read_bytes()
     for content in (*(data[: len(data) * k // 20] for k in range(20)), b'no archive at all'):
         path.write_bytes(content)
-        with pytest.raises(ReferenceFileError) as caught:
+        with pytest.raises(FileError) as caught:
             stored.load(path)
         assert '~/tare' in caught.value.remedy
     nowhere = stored.array.copy()
@@ -145,13 +139,13 @@ def test_damaged_files_are_refused(tmp_path, stored):
     for wrong in (nowhere, nowhere[1:] * 0.0):
         stored.use(wrong)
         stored.save(path)
-        with pytest.raises(ReferenceFileError):
+        with pytest.raises(FileError):
             stored.load(path)
 
 
 def test_a_reference_that_cannot_be_saved_is_a_clear_error(tmp_path, stored):
-    with pytest.raises(ReferenceFileError):
+    with pytest.raises(FileError):
         Reference(FgerConfig()).save(tmp_path / 'reference.npz')
     (tmp_path / 'file').write_bytes(b'')
-    with pytest.raises(ReferenceFileError):
+    with pytest.raises(FileError):
         stored.save(tmp_path / 'file' / 'reference.npz')
