@@ -21,6 +21,7 @@ from rich.console import Console
 from mixtac.figures import make_table
 from mixtac.options import JsonFile, Preset
 from mixtac_core.events.codec import decode_message, encode
+from mixtac_core.events.codec import warm_up as warm_up_codec
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_core.node.files import write_json
 from mixtac_core.recordings.dataset import TrialSpec
@@ -257,6 +258,7 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
     model = read_model(find_model(model_name))
     estimator = FgerEstimator(model)
     scene = make_scene(seconds, preset)
+    warm_up_codec()
     warm_up(estimator)
     alone, touched = (_figures(model, scene, each) for each in (None, ContactSettings()))
     return alone | {

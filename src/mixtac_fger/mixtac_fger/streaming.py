@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mixtac_core.events.arrays import Events
-from mixtac_core.events.codec import decode, encode
 from mixtac_core.events.windows import WindowSlicer
 from mixtac_core.node.images import ImageConversionError
 from mixtac_core.node.process import lower_priority
@@ -517,9 +516,10 @@ WARM_UP_STEP_US = 10_000
 
 
 def warm_up(estimator: Estimator) -> list[Estimate]:
-    """Run an estimator on a few frames and packets, so that everything is compiled and loaded.
+    """Run an estimator on a few frames and events, so that everything is compiled and loaded.
 
-    It takes seconds the very first time. The estimator must not be used afterwards.
+    It takes seconds the very first time. The estimator must not be used afterwards. Packets have a
+    `warm_up` of their own (`mixtac_core.events.codec`).
 
     Returns:
         The estimates; if the list is empty, a part was not run.
@@ -534,9 +534,5 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
         t_us = np.arange(start_us, start_us + WARM_UP_STEP_US, 100, dtype=np.int64)
         zeros = np.zeros(len(t_us), np.uint16)
         events = Events(t_us, zeros, zeros, t_us % 200 == 0)
-        packet = encode(events, complete_until=start_us + WARM_UP_STEP_US)
-        # Read-only bytes, as the middleware gives them.
-        octets, base = packet.payload.tobytes(), packet.time_base
-        decoded = decode(octets, packet.encoding, base, width=width, height=height)
-        found += feed.push_events(decoded.events, decoded.complete_until)
+        found += feed.push_events(events, start_us + WARM_UP_STEP_US)
     return found
