@@ -77,8 +77,8 @@ def blank_message(type_name: str) -> Any:  # noqa: ANN401
     return message
 
 
-class BagFile(contextlib.AbstractContextManager['BagFile']):
-    """A bag, open for reading.
+class BagFile(contextlib.ExitStack[None]):
+    """A bag, open for reading until `close` or the end of a `with` block.
 
     Args:
         path: Folder, .mcap, .db3 or .bag file.
@@ -98,12 +98,12 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         self.path = path
         self.is_ros1 = path.suffix == ROS1_SUFFIX and path.is_file()
         if not path.exists():
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._readers: list[Any] = []
-        self._held = contextlib.ExitStack()
         self._missing: list[str] = []
         try:
             self._open()
@@ -119,14 +119,6 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
         for each in self.connections:
             self.counts[each.topic] += each.msgcount
             self.types[each.topic] = each.msgtype
-
-    def __exit__(self, *_: object) -> None:
-        """Close the bag."""
-        self.close()
-
-    def close(self) -> None:
-        """Close the files."""
-        self._held.close()
 
     @property
     def damage(self) -> str:
@@ -202,7 +194,7 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
     def _opened(self, path: Path) -> Any:  # noqa: ANN401  (a reader of rosbags, or one like it)
         """Open a file of the bag."""
         if path.suffix == '.zstd':
-            folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
+            folder = self.enter_context(tempfile.TemporaryDirectory(prefix='mixtac_'))
             expanded = Path(folder) / path.stem
             with path.open('rb') as source, expanded.open('wb') as file:
                 zstandard.ZstdDecompressor().copy_stream(source, file)
@@ -217,7 +209,7 @@ class BagFile(contextlib.AbstractContextManager['BagFile']):
             )
         reader = AnyReader([path]) if self.is_ros1 else Reader(path)
         reader.open()
-        self._held.callback(reader.close)
+        self.callback(reader.close)
         return reader
 
     def _damaged(self, error: Exception) -> DamagedRecordingError:
