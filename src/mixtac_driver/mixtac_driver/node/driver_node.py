@@ -171,7 +171,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         with self._diagnostics.compiling('the pixel mask'):
             warm_up_mask()
         self._clock_due_s = 0.0
-        self._identity: Identity | None = None
+        self._identity: Identity
         self._meters = DriverMeters()
         self._calibration = CalibratedCamera(p)
         self.get_logger().info(self._calibration.describe())
@@ -230,8 +230,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
 
     def _use_identity(self) -> Identity:
         identity = self._source.status().identity
-        if identity is None:
-            raise RuntimeError('the source has no identity although it is open')
+        assert identity is not None  # noqa: S101  (the source is open)
         size = identity.geometry.event_size
         self._settings.use_size(size)
         self._calibration.use_size(size)
@@ -247,8 +246,6 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_batch(self, batch: CameraBatch) -> None:
         decoded, origin_us, identity = batch.decoded, batch.origin.us, self._identity
-        if identity is None:
-            return
         self._driver_services.watch(batch)
         self._meters.events.add(len(decoded.events))
         events = self._settings.mask.keep(decoded.events)

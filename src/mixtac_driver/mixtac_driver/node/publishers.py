@@ -49,7 +49,7 @@ class EventPublisher:
         self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
-        self._writer: PacketWriter | None = None
+        self._writer: PacketWriter
 
     def restart(self) -> None:
         """Discard unpublished events: another stream starts."""
@@ -67,7 +67,7 @@ class EventPublisher:
             # Who subscribes gets whole packets from the next batch on.
             self.restart()
             return
-        if self._packetizer is None or self._writer is None:
+        if self._packetizer is None:
             period_us = round(self._p.event_message_time_threshold * 1e6)
             most_bytes = self._p.event_message_size_threshold
             self._packetizer = Packetizer(period_us, most_bytes)
