@@ -236,8 +236,7 @@ class Grasp:
         surface = int(stream(seed, 'grasp surface').integers(1 << 62))
 
         def press(force_n: float) -> Press:
-            stiffness = setup.stiffness_n_per_mm
-            return Press(device, layer, face, setup.n_per_mm, force_n, stiffness)
+            return Press(device, layer, face, setup.n_per_mm, force_n)
 
         self.critical_n = critical_force_n(setup, surface, press, rest_s)
         self.grasp_n = setup.margin * self.critical_n

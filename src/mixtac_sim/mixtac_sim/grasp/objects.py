@@ -141,7 +141,6 @@ class GraspSetup:
         knock_mm_s: Speed that the impact gives the object [mm/s].
         pulse_s: Duration of the impact [s], a half sine.
         knock_s: Start of the impact [s].
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None if not given.
     """
 
     name: str
@@ -153,7 +152,6 @@ class GraspSetup:
     knock_mm_s: float
     pulse_s: float
     knock_s: float
-    stiffness_n_per_mm: float | None = None
 
     @property
     def weight_n(self) -> float:
@@ -180,7 +178,6 @@ def draw_setup(
     margin: float = 1.05,
     knock_mm_s: float | None = None,
     knock_s: float = 0.6,
-    stiffness_n_per_mm: float | None = None,
 ) -> GraspSetup:
     """Return a trial's grasp.
 
@@ -190,7 +187,6 @@ def draw_setup(
         margin: Grasp force over the smallest that holds.
         knock_mm_s: Speed after the impact [mm/s], instead of a share.
         knock_s: Start of the impact [s].
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None if not given.
 
     Raises:
         SimulationError: Unknown object.
@@ -218,5 +214,4 @@ def draw_setup(
         knock_mm_s=1e6 * share * WEIGHT_IMPULSE_N_S / mass if knock_mm_s is None else knock_mm_s,
         pulse_s=kind.pulse_s,
         knock_s=knock_s,
-        stiffness_n_per_mm=stiffness_n_per_mm,
     )

@@ -11,7 +11,6 @@ against the weakening over the stiffness, patches stick and slip; otherwise they
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -216,8 +215,6 @@ class Press:
         face: The object's face.
         object_n_per_mm: Stiffness of the object itself [N/mm].
         force_n: Force of the grasp [N], held for 3 s before the start.
-        stiffness_n_per_mm: Stiffness of gel, mesh and object together at that force, if it is to
-            be a given one [N/mm]; the gel is then taken as stiff or soft enough for it.
 
     Attributes:
         layer: The layer on the day.
@@ -237,15 +234,12 @@ class Press:
         face: Indenter,
         object_n_per_mm: float,
         force_n: float,
-        stiffness_n_per_mm: float | None = None,
     ) -> None:
         self.layer, self.face = layer, face
         self.gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
         law = _in_series(self.gel, object_n_per_mm)
-        if stiffness_n_per_mm is not None:
-            scale = _slope(law, force_n) / stiffness_n_per_mm
-            law = replace(law, step_mm=law.step_mm * scale)
-        self.stiffness_n_per_mm = _slope(law, force_n)
+        slopes = np.gradient(law.force_n, law.step_mm)
+        self.stiffness_n_per_mm = float(np.interp(force_n, law.force_n, slopes))
         self._contact = Contact([law], [0.0], device.prony)
         path = self.hold(np.full(round(1e6 * SETTLE_S / STEP_US), force_n))
         self._start_mm = float(path.position_mm[-1])
@@ -290,11 +284,6 @@ def _in_series(gel: ForceLaw, object_n_per_mm: float) -> ForceLaw:
     even = np.linspace(0.0, travel[-1], len(travel))
     force = np.interp(even, travel, gel.force_n)
     return ForceLaw(float(even[1]), force, np.interp(even, travel, gel.radius_mm))
-
-
-def _slope(law: ForceLaw, force_n: float) -> float:
-    """Return the stiffness at a force [N/mm]."""
-    return float(np.interp(force_n, law.force_n, np.gradient(law.force_n, law.step_mm)))
 
 
 REACH = 0.6
