@@ -22,7 +22,6 @@ from mixtac_sim.grasp.objects import OBJECTS, GraspSetup, ObjectMotion
 from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, make_skin, slide
 from mixtac_sim.grids import STEP_US, stream
 from mixtac_sim.mechanics.contact import ContactPath
-from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE, Preset
@@ -104,7 +103,7 @@ def hold(setup: GraspSetup, press: Press, force_n: float, surface_seed: int) -> 
     rng = np.random.default_rng(surface_seed)
     is_round = OBJECTS[setup.name].face.shape == 'sphere'
     radius_mm = float(press.gel.radius_at(press.elastic_n))
-    skin = make_skin(press.layer, radius_mm, setup.friction, rng, round_face=is_round)
+    skin = make_skin(press.device.layer, radius_mm, setup.friction, rng, round_face=is_round)
     static = setup.friction.static(SETTLE_S)
     borne_n = setup.weight_n * static / (static + setup.wall_mu)
     skin.shear_mm[:], skin.age_s[:] = borne_n / skin.stiffness.sum(), SETTLE_S
@@ -212,7 +211,7 @@ class Grasp:
             [s].
 
     Attributes:
-        device: The sensor.
+        device: The sensor on the day of the trial.
         critical_n: Smallest normal force that holds the object, to 2 % [N].
         grasp_n: Normal force of the grasp [N]: the margin times `critical_n`.
         stiffness_n_per_mm: Stiffness of the contact at the grasp force [N/mm].
@@ -230,13 +229,13 @@ class Grasp:
         rest_s: float = 0.0,
     ) -> None:
         self.setup = setup
-        conditions, device = draw_conditions(seed, preset), draw_device(device_seed, preset)
-        layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
+        conditions = draw_conditions(seed, preset)
+        device = draw_device(device_seed, preset).on_day(conditions)
         face = OBJECTS[setup.name].face
         surface = int(stream(seed, 'grasp surface').integers(1 << 62))
 
         def press(force_n: float) -> Press:
-            return Press(device, layer, face, setup.n_per_mm, force_n)
+            return Press(device, face, setup.n_per_mm, force_n)
 
         self.critical_n = critical_force_n(setup, surface, press, rest_s)
         self.grasp_n = setup.margin * self.critical_n
@@ -247,7 +246,7 @@ class Grasp:
         self._body = np.zeros(3)
         self._motion = setup.motion()
         self.camera: SkinCamera | None = None
-        self._day = (device, conditions, preset)
+        self._day = (conditions, preset)
         if camera:
             self.camera = SkinCamera(*self._day, seed, self._press, self._skin)
         self.device: DeviceModel = device
@@ -273,7 +272,7 @@ class Grasp:
         """Return frames of the same sensor and day, taken before anything touched it."""
         # A new skin is free of shear; another seed, because noise does not repeat.
         skin = make_skin(
-            self._press.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
+            self.device.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
         )
         seed = self._seed + UNTOUCHED
         camera = SkinCamera(*self._day, seed, self._press, skin, elastic_n=0.0)

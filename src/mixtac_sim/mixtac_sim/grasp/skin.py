@@ -210,14 +210,13 @@ class Press:
     """A fingertip that presses an object against a wall.
 
     Args:
-        device: The sensor.
-        layer: The layer on the day.
+        device: The sensor on the day.
         face: The object's face.
         object_n_per_mm: Stiffness of the object itself [N/mm].
         force_n: Force of the grasp [N], held for 3 s before the start.
 
     Attributes:
-        layer: The layer on the day.
+        device: The sensor on the day.
         face: The object's face.
         gel: Elastic force of layer and mesh alone under that face.
         elastic_n: Elastic part of the force at the start [N].
@@ -230,13 +229,12 @@ class Press:
     def __init__(
         self,
         device: DeviceModel,
-        layer: Layer,
         face: Indenter,
         object_n_per_mm: float,
         force_n: float,
     ) -> None:
-        self.layer, self.face = layer, face
-        self.gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
+        self.device, self.face = device, face
+        self.gel = force_law(device.layer, face, device.mesh_n_per_mm, device.stiffening)
         law = _in_series(self.gel, object_n_per_mm)
         slopes = np.gradient(law.force_n, law.step_mm)
         self.stiffness_n_per_mm = float(np.interp(force_n, law.force_n, slopes))
@@ -351,7 +349,6 @@ class SkinCamera:
     Blocks may be as short as 1 ms, so that an arm can answer within the next one.
 
     Args:
-        device: The sensor.
         conditions: Conditions of the trial.
         preset: Difficulty of the sensor.
         seed: Seed of the trial.
@@ -362,7 +359,6 @@ class SkinCamera:
 
     def __init__(
         self,
-        device: DeviceModel,
         conditions: Conditions,
         preset: Preset,
         seed: int,
@@ -370,9 +366,9 @@ class SkinCamera:
         skin: Skin,
         elastic_n: float | None = None,
     ) -> None:
-        device, contact_mm = device.on_day(conditions), conditions.contact_mm
-        self._beads = device.beads(press.layer, contact_mm, [press.face], [press.gel])
-        self._moved = SkinBeads(device.markers, press.layer, contact_mm, skin)
+        device, contact_mm = press.device, conditions.contact_mm
+        self._beads = device.beads(contact_mm, [press.face], [press.gel])
+        self._moved = SkinBeads(device.markers, device.layer, contact_mm, skin)
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()
         spots = self._place(self._elastic_n)

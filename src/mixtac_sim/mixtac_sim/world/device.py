@@ -159,25 +159,30 @@ class DeviceModel:
     grain: float
 
     def on_day(self, conditions: Conditions) -> DeviceModel:
-        """Return the sensor with its camera where it is on the day of a trial."""
+        """Return the sensor as it is on the day of a trial: gel, skin, place of the camera."""
         (x, y), (right, down) = self.lens.centre_px, conditions.camera_shift_px
         lens = replace(
             self.lens,
             centre_px=(x + right, y + down),
             roll_rad=self.lens.roll_rad + conditions.camera_roll_rad,
         )
-        return replace(self, lens=lens, scene=build_scene(lens, self.lighting))
+        return replace(
+            self,
+            layer=replace(self.layer, modulus_kpa=self.layer.modulus_kpa * conditions.stiffness),
+            friction=self.friction * conditions.friction,
+            lens=lens,
+            scene=build_scene(lens, self.lighting),
+        )
 
     def beads(
         self,
-        layer: Layer,
         contact_mm: tuple[float, float],
         indenters: Sequence[Indenter],
         laws: Sequence[ForceLaw],
     ) -> BeadMotion:
         """Return how the beads move under a contact; arguments as of `BeadMotion`."""
         return BeadMotion(
-            self.markers, self.lens, self.mesh_n_per_mm, layer, contact_mm, indenters, laws
+            self.markers, self.lens, self.mesh_n_per_mm, self.layer, contact_mm, indenters, laws
         )
 
     def pixel_settings(self, nominal: PixelSettings, conditions: Conditions) -> PixelSettings:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
-from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
+from mixtac_sim.mechanics.elastomer import Shear, force_law
 from mixtac_sim.mechanics.sliding import Across, Sliding
 from mixtac_sim.optics.beads import SlidingBeads
 from mixtac_sim.pixels.aps import ApsFrame
@@ -123,7 +123,7 @@ class TactileSensor:
             temperature of the gel; None for a day of its own.
 
     Attributes:
-        device: The sensor's constants.
+        device: The sensor on the day of the trial.
         contact_mm: First contact point, right and down from the optical axis [mm].
         configure_aps: Changes when frames are taken, from the next exposure that has not begun.
         configure_pixels: Changes the DVS settings from the next block of 4 ms on, as new biases
@@ -142,17 +142,16 @@ class TactileSensor:
         day = trial_seed if session is None else session
         conditions, slip = draw_conditions(day, preset), preset.contact
         device = draw_device(device_seed, preset).on_day(conditions)
-        layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         tools = profile.indenters
         self.device: DeviceModel = device
         self._profile = profile
         self._laws = [
-            force_law(layer, tool, device.mesh_n_per_mm, device.stiffening) for tool in tools
+            force_law(device.layer, tool, device.mesh_n_per_mm, device.stiffening) for tool in tools
         ]
         self._contact = Contact(self._laws, [tool.mass_g for tool in tools], device.prony)
         self._shear = Shear(
-            layer,
-            device.friction * conditions.friction,
+            device.layer,
+            device.friction,
             conditions.lean,
             slip.friction_load,
             partial_slip=slip.partial_slip,
@@ -160,16 +159,16 @@ class TactileSensor:
         self.contact_mm, self._conditions = conditions.contact_mm, conditions
         self._last: tuple[float, Floats] = (0.0, np.zeros(2))
         self._last_slid = np.zeros(3)
-        self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
+        self._beads = device.beads(conditions.contact_mm, tools, self._laws)
         self._sliding = Sliding(self._shear, device.prony)
         self._sliding_beads = SlidingBeads(
-            lambda k, place: device.beads(layer, place, tools[k : k + 1], self._laws[k : k + 1]),
+            lambda k, place: device.beads(place, tools[k : k + 1], self._laws[k : k + 1]),
             conditions.contact_mm,
         )
         # What falls by its own weight falls on one place.
         self._second = 0.0 if any(tool.mass_g for tool in tools) else conditions.second
         x, y = np.add(conditions.contact_mm, conditions.second_mm).tolist()
-        self._other = device.beads(layer, (x, y), tools, self._laws) if self._second else None
+        self._other = device.beads((x, y), tools, self._laws) if self._second else None
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._rest = rest.copy()
         flicker = draw_flicker(day, preset.light)

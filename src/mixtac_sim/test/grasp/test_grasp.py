@@ -18,7 +18,6 @@ from mixtac_sim.grasp.objects import (
 )
 from mixtac_sim.grasp.skin import Press, shear_stiffness
 from mixtac_sim.mechanics.contact import GRAVITY
-from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.world.device import draw_device
 
 SETUP = GraspSetup('box', 80.0, 50.0, Friction(roughness=0.0), 0.5, 1.05, 50.0, 1e-3, 0.01)
@@ -76,14 +75,13 @@ def test_the_skin_is_as_stiff_as_the_gel_under_the_contact_at_that_force(
 ) -> None:
     """The beads show the pull by that stiffness."""
     device = draw_device(1)
-    layer = Layer(device.layer.modulus_kpa, device.layer.thickness_mm)
     found = []
     for force in (0.3, 0.9):
-        press = Press(device, layer, OBJECTS[name].face, 50.0, force)
+        press = Press(device, OBJECTS[name].face, 50.0, force)
         skin, _ = hold(replace(SETUP, name=name), press, force, 1)
         radius = float(press.gel.radius_at(press.elastic_n))
         found.append(float(skin.stiffness.sum()))
-        assert found[-1] == pytest.approx(shear_stiffness(layer, radius))
+        assert found[-1] == pytest.approx(shear_stiffness(device.layer, radius))
     assert (found[1] > 1.1 * found[0]) == grows
 
 

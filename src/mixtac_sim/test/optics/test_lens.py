@@ -36,7 +36,7 @@ def test_blur_grows_by_the_known_rate():
 def motion():
     device = draw_device(5)
     law = force_law(device.layer, HEMISPHERE, device.mesh_n_per_mm)
-    return device, device.beads(device.layer, (0.5, -0.8), (HEMISPHERE,), [law])
+    return device, device.beads((0.5, -0.8), (HEMISPHERE,), [law])
 
 
 def test_beads_at_rest_are_where_the_lens_puts_them(motion):
@@ -105,7 +105,7 @@ def test_moved_camera_is_opencvs(name):
     moved = TactileSensor(2, 5, make_profile('idle', 1, 1.0), preset=preset(name)).device
     assert moved.lens == lens
     law = force_law(moved.layer, HEMISPHERE)
-    beads = moved.beads(moved.layer, (0.0, 0.0), (HEMISPHERE,), [law])
+    beads = moved.beads((0.0, 0.0), (HEMISPHERE,), [law])
     np.testing.assert_allclose(beads.place(0, 0.0, (0.0, 0.0))[:, :2], expected.T, atol=1e-6)
 
 
