@@ -15,6 +15,7 @@ point that point is held. Each joint follows its command with a lag.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,13 +210,24 @@ class JointTrajectoryController:
         Returns:
             Position [rad], velocity [rad/s] and acceleration [rad/s2] of the joints [joint].
         """
-        while self._next_cycle_s <= t_s + 1e-9:
-            self._cycle(self._next_cycle_s)
-            self._cycles += 1
+        for _ in self.cycles(t_s):
+            pass
         return self._command[0].copy(), self._command[1].copy(), self._command[2].copy()
 
+    def cycles(self, t_s: float) -> Iterator[Floats]:
+        """Run the cycles up to a time, one by one, and yield the position [joint] [rad] of each.
+
+        Args:
+            t_s: Time [s]; cycles at or before it are run.
+        """
+        while self.next_cycle_s <= t_s + 1e-9:
+            self._cycle(self.next_cycle_s)
+            self._cycles += 1
+            yield self._command[0].copy()
+
     @property
-    def _next_cycle_s(self) -> float:
+    def next_cycle_s(self) -> float:
+        """Time of the next cycle [s]."""
         return self._first_cycle_s + self._cycles * CYCLE_S
 
     def _cycle(self, now_s: float) -> None:

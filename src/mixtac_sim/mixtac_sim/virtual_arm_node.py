@@ -16,7 +16,6 @@ from mixtac_core.node.base_node import BaseNode, declare, run
 from mixtac_core.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_core.node.topics import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm import (
-    CYCLE_S,
     JOINT_NAMES,
     READY,
     SIDEWAYS,
@@ -50,12 +49,11 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             warm_up()
         self._controller = JointTrajectoryController()
         self._arm = LaggingArm(READY, SIDEWAYS)
-        self._first_s, self._cycles = BEFORE_S, 0
+        self._controller.reset(READY, BEFORE_S)
         self._accepted = self._rejected = 0
         self._problem = ''
         # Seconds since 1970 would round a cycle of 1 ms by 0.02 %, which looks like a jerk.
         self._origin_ns = self.get_clock().now().nanoseconds
-        self._restart(READY, BEFORE_S)
         self._states = self.create_publisher(JointState, parameters.joint_state_topic, 10)
         self.create_subscription(
             JointTrajectory, parameters.trajectory_topic, self._on_trajectory, 10
@@ -65,15 +63,6 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
     def _seconds(self, time_ns: int) -> float:
         """Return a time on the controller's scale [s]."""
         return float(BEFORE_S + 1e-9 * (time_ns - self._origin_ns))
-
-    def _restart(self, q: Floats, now_s: float) -> None:
-        """Stand still from now on."""
-        self._first_s, self._cycles = now_s, 0
-        self._controller.reset(q, now_s)
-
-    @property
-    def _cycle_s(self) -> float:
-        return self._first_s + self._cycles * CYCLE_S
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         now_s = self._follow(self.get_clock().now().nanoseconds)
@@ -92,14 +81,14 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
 
     def _follow(self, now_ns: int) -> float:
         """Run the controller's cycles up to a time; return it on the controller's scale [s]."""
-        if abs(self._seconds(now_ns) - self._cycle_s) > MAX_CATCH_UP_S:
+        controller = self._controller
+        if abs(self._seconds(now_ns) - controller.next_cycle_s) > MAX_CATCH_UP_S:
             self._origin_ns = now_ns
-            held = self._controller.sample(self._cycle_s + MAX_CATCH_UP_S)[0]
-            self._restart(held, BEFORE_S)
+            held = controller.sample(controller.next_cycle_s + MAX_CATCH_UP_S)[0]
+            controller.reset(held, BEFORE_S)
         now_s = self._seconds(now_ns)
-        while self._cycle_s <= now_s:
-            self._arm.track(self._controller.sample(self._cycle_s)[0])
-            self._cycles += 1
+        for command in controller.cycles(now_s):
+            self._arm.track(command)
         return now_s
 
     def _publish(self) -> None:
