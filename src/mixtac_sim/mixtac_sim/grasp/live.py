@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from threading import Lock
@@ -128,6 +129,8 @@ GRIP_BLOCKS = 150
 """Blocks in which a hand holds the object and the grasp comes back to its force: 0.6 s."""
 RAMP_BLOCKS = 75
 """Blocks of these in which the force changes: 0.3 s."""
+MOST_REACHED = 2048
+"""Postures that wait to be taken, one per block: 8 s."""
 
 
 class LiveGrasp:
@@ -162,7 +165,7 @@ class LiveGrasp:
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0
         self._posture: tuple[float, ...] = ()
-        self._reached: list[tuple[int, tuple[float, ...]]] = []
+        self._reached: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=MOST_REACHED)
         self._strike_mm_s = 0.0
         self._back, self._open = False, open_first
         self._gripping, self._from_n = 0, self.grasp_n
@@ -183,9 +186,8 @@ class LiveGrasp:
     def take_reached(self, until_us: int) -> list[tuple[int, tuple[float, ...]]]:
         """Return the postures reached up to a time since the last call, and when [us]."""
         with self._lock:
-            ready = [each for each in self._reached if each[0] <= until_us]
-            self._reached = self._reached[len(ready) :]
-            return ready
+            ready = sum(reached_us <= until_us for reached_us, _ in self._reached)
+            return [self._reached.popleft() for _ in range(ready)]
 
     def strike(self, speed_mm_s: float) -> None:
         """Strike the object in the next block, which gives it a speed [mm/s]."""

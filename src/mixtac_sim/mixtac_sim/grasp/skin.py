@@ -21,7 +21,14 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, ContactPath, Mode
-from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, force_law, sheared_area
+from mixtac_sim.mechanics.elastomer import (
+    ForceLaw,
+    Indenter,
+    Layer,
+    force_law,
+    shear_stiffness,
+    sheared_area,
+)
 from mixtac_sim.optics.scene import Markers
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera
@@ -110,12 +117,6 @@ def make_skin(
         friction=friction,
         resistance=wave_resistance(layer, radius_mm) / count,
     )
-
-
-def shear_stiffness(layer: Layer, radius_mm: float) -> float:
-    """Return the shear stiffness of the gel under a contact [N/mm]; as in ``Shear``."""
-    area_mm2 = float(sheared_area(radius_mm, layer.thickness_mm))
-    return 1e-3 * layer.modulus_kpa / 3.0 * area_mm2 / layer.thickness_mm
 
 
 def wave_speed_mm_s(layer: Layer) -> float:

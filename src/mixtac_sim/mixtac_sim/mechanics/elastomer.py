@@ -196,6 +196,12 @@ def sheared_area(radius: Floats | float, thickness: float) -> Floats:
     return np.asarray(np.pi * (radius + 0.5 * thickness) ** 2)
 
 
+def shear_stiffness(layer: Layer, radius_mm: Floats | float) -> Floats:
+    """Return the stiffness in shear of the gel under contacts of these radii [N/mm]."""
+    area_mm2 = sheared_area(radius_mm, layer.thickness_mm)
+    return np.asarray(1e-3 * layer.modulus_kpa / 3.0 * area_mm2 / layer.thickness_mm)
+
+
 LIGHT_N = 0.05
 """Friction does not grow further below this force [N] (estimate)."""
 
@@ -228,8 +234,7 @@ class Shear:
         *,
         partial_slip: bool = False,
     ) -> None:
-        self._modulus = 1e-3 * layer.modulus_kpa / 3.0
-        self._thickness = layer.thickness_mm
+        self._layer = layer
         self._friction = friction
         self._friction_load = friction_load
         self.partial_slip = partial_slip
@@ -251,12 +256,11 @@ class Shear:
 
     def stiffness(self, radius_mm: Floats) -> Floats:
         """Return the stiffness of the skin under contacts of these radii [n] [N/mm]."""
-        area = sheared_area(radius_mm, self._thickness)
-        return np.asarray(self._modulus * area / self._thickness)
+        return shear_stiffness(self._layer, radius_mm)
 
     def turn_stiffness(self, radius_mm: Floats) -> Floats:
         """Return its stiffness against a turn about the normal [n] [N mm/rad]."""
-        return np.asarray(16.0 / 3.0 * self._modulus * radius_mm**3)
+        return np.asarray(16.0 / 3.0 * (1e-3 * self._layer.modulus_kpa / 3.0) * radius_mm**3)
 
     def limit(self, force_n: Floats) -> Floats:
         """Return the largest pull that friction bears under normal forces [n] [N]."""

@@ -192,17 +192,38 @@ def _load_spectrum(shape: Literal['sphere', 'flat'], t: Floats) -> Floats:
 
 def depth_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Return U and dU/dq at heights for unit pressure [t, height], free of overflow."""
+    inner, slope, _ = _profiles(t, height, pulled=False)
+    return 2.0 * inner, 2.0 * slope
+
+
+def shear_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return what a unit pull moves at heights, in units of h / G, free of overflow.
+
+    Args:
+        t: Wave number times thickness, positive [t].
+        height: Height above the base over the thickness [height].
+
+    Returns:
+        Displacement along a wave for a pull along it, its rise (a quarter of the wave ahead), and
+        displacement across a wave for a pull across it [t, height].
+    """
+    inner, slope, across = _profiles(t, height, pulled=True)
+    return slope, inner, across
+
+
+def _profiles(t: Floats, height: Floats, *, pulled: bool) -> tuple[Floats, Floats, Floats]:
+    """Return U and dU/dq for half a unit of pressure or for a unit pull, and the motion across."""
     t = t[:, None]
-    q = t * height
-    decay = np.exp(-t)
+    q, decay = t * height, np.exp(-t)
     cosh_t, sinh_t = 0.5 * (1.0 + decay**2), 0.5 * (1.0 - decay**2)  # times exp(-t)
-    a, b = -(cosh_t + t * sinh_t), t * cosh_t
     rise, fall = np.exp(q - t), np.exp(-q - t)
     cosh_q, sinh_q = 0.5 * (rise + fall), 0.5 * (rise - fall)  # times exp(-t)
-    scale = 2.0 / (0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2)
+    scale = 1.0 / (0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2)
+    # At the skin: no pull, or no pressure and a pull of one.
+    a, b = (cosh_t, cosh_t / t - sinh_t) if pulled else (-(cosh_t + t * sinh_t), t * cosh_t)
     inner = a * (q * cosh_q - sinh_q) + b * q * sinh_q
     slope = a * q * sinh_q + b * (sinh_q + q * cosh_q)
-    return scale * inner, scale * slope
+    return scale * inner, scale * slope, sinh_q / (t * cosh_t)
 
 
 @lru_cache(maxsize=1)
@@ -230,30 +251,6 @@ def shear_field() -> LayerField:
             _transform(spin, across * t[:, None], turned),
         )
         return LayerField(np.stack(tables, axis=-1))
-
-
-def shear_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what a unit pull moves at heights, in units of h / G, free of overflow.
-
-    Args:
-        t: Wave number times thickness, positive [t].
-        height: Height above the base over the thickness [height].
-
-    Returns:
-        Displacement along a wave for a pull along it, its rise (a quarter of the wave ahead), and
-        displacement across a wave for a pull across it [t, height].
-    """
-    t = t[:, None]
-    q, decay = t * height, np.exp(-t)
-    cosh_t, sinh_t = 0.5 * (1.0 + decay**2), 0.5 * (1.0 - decay**2)  # times exp(-t)
-    rise, fall = np.exp(q - t), np.exp(-q - t)
-    cosh_q, sinh_q = 0.5 * (rise + fall), 0.5 * (rise - fall)  # times exp(-t)
-    # U as in `depth_profiles`, with no pressure and a pull of one at the skin.
-    scale = 1.0 / (0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2)
-    a, b = cosh_t, cosh_t / t - sinh_t
-    inner = a * (q * cosh_q - sinh_q) + b * q * sinh_q
-    slope = a * q * sinh_q + b * (sinh_q + q * cosh_q)
-    return scale * slope, scale * inner, sinh_q / (t * cosh_t)
 
 
 SHAPE = (240, 96)

@@ -16,8 +16,9 @@ from mixtac_sim.grasp.objects import (
     GraspSetup,
     draw_setup,
 )
-from mixtac_sim.grasp.skin import Press, shear_stiffness
+from mixtac_sim.grasp.skin import Press
 from mixtac_sim.mechanics.contact import GRAVITY
+from mixtac_sim.mechanics.elastomer import shear_stiffness
 from mixtac_sim.world.device import draw_device
 
 SETUP = GraspSetup('box', 80.0, 50.0, Friction(roughness=0.0), 0.5, 1.05, 50.0, 1e-3, 0.01)

@@ -10,8 +10,8 @@ from numba import njit
 from scipy.optimize import brentq
 
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
-from mixtac_sim.grasp.skin import Skin, make_skin, shear_stiffness, slide, slip_speed
-from mixtac_sim.mechanics.elastomer import Layer
+from mixtac_sim.grasp.skin import Skin, make_skin, slide, slip_speed
+from mixtac_sim.mechanics.elastomer import Layer, shear_stiffness
 
 LAYER = Layer(160.0, 4.0)
 EVEN = Friction(roughness=0.0, slip_mm=0.02)
