@@ -78,7 +78,7 @@ def shake(
         Segment(0.2, SETTLED_S, Mode.POSITION, (0.0,), (middle,)),
         Segment(SETTLED_S, end + 0.1, Mode.POSITION, (0.0,), (middle,), (tone,)),
     )
-    profile = Profile('vibration', end, segments)
+    profile = Profile(end, segments)
     sensor = TactileSensor(seed, seed, profile, preset=preset(PRESET))
     output = sensor.advance(_us(end))
     still = [f.intensity for f in output.frames if f.frame_end_us < _us(SETTLED_S)]

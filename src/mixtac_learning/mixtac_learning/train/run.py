@@ -140,14 +140,12 @@ class Trained:
     Attributes:
         model: Content of its weight file, without figures.
         curves: One row per epoch.
-        sources: Trials that it was trained on.
         held: Trials that were held out.
         skipped: Why a trial was left out, by its name.
     """
 
     model: Model
     curves: list[dict[str, Any]]
-    sources: list[TrialSource]
     held: list[TrialSource]
     skipped: dict[str, str]
 
@@ -226,7 +224,7 @@ def train_model(
     if folder is not None and leads:
         write_json(folder / 'curves.json', {'epochs': curves})
     model = replace(model, card=ModelCard(training))
-    return Trained(model, curves, used, [sources[index] for index in held], skipped)
+    return Trained(model, curves, [sources[index] for index in held], skipped)
 
 
 EVALUATION_SECONDS = 10.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
@@ -69,7 +69,7 @@ def press(
         segments.insert(1, _force(tool, RAMP_S, rest, (force_n,), move))
         segments.append(Segment(end, end + RAMP_S, Mode.FREE, indenter=tool, move=back))
         end += RAMP_S
-    return Profile('press', end, tuple(segments))
+    return Profile(end, tuple(segments))
 
 
 def pull(tool: Indenter, force_n: tuple[float, float], pull_n: Pulled, hold_s: float) -> Profile:
@@ -92,7 +92,7 @@ def pull(tool: Indenter, force_n: tuple[float, float], pull_n: Pulled, hold_s: f
     ]
     if rest > RAMP_S:
         segments.insert(1, _force(tool, RAMP_S, rest, (after,), pull=pull_n))
-    return Profile('pull', up + RAMP_S, tuple(segments))
+    return Profile(up + RAMP_S, tuple(segments))
 
 
 def load(tool: Indenter, hold_s: float) -> Profile:
@@ -101,7 +101,7 @@ def load(tool: Indenter, hold_s: float) -> Profile:
     Raises:
         SimulationError: The object has no mass.
     """
-    return replace(press(tool, 1e-3 * _mass_g(tool) * GRAVITY, hold_s), name='load')
+    return press(tool, 1e-3 * _mass_g(tool) * GRAVITY, hold_s)
 
 
 def drop(tool: Indenter, height_mm: float, hold_s: float) -> Profile:
@@ -117,7 +117,7 @@ def drop(tool: Indenter, height_mm: float, hold_s: float) -> Profile:
         Segment(RAMP_S, lift, Mode.DROP, (0.0,), (height_mm,), indenter=tool),
         Segment(lift, lift + RAMP_S, Mode.LIFT, (0.0, RAMP_S), (0.0, lift_n), indenter=tool),
     )
-    return Profile('drop', lift + RAMP_S, segments)
+    return Profile(lift + RAMP_S, segments)
 
 
 def _mass_g(tool: Indenter) -> float:
@@ -154,13 +154,13 @@ def vibrate(
         Segment(down, up, Mode.POSITION, (0.0,), (depth_mm,), (tone,), tool),
         Segment(up, up + RAMP_S, Mode.POSITION, (0.0, RAMP_S), (depth_mm, -APART_MM), (), tool),
     )
-    return Profile('vibrate', up + RAMP_S, segments)
+    return Profile(up + RAMP_S, segments)
 
 
 def release(tool: Indenter, from_n: float) -> Profile:
     """Return the release from a force [N]."""
     way = _force(tool, 0.0, RAMP_S, (from_n, 0.0))
-    return Profile('release', RAMP_S, (way,) if from_n > 0.0 else ())
+    return Profile(RAMP_S, (way,) if from_n > 0.0 else ())
 
 
 @dataclass(frozen=True)

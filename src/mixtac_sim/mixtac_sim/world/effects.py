@@ -237,10 +237,9 @@ class ImpactEffects:
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A degree of difficulty; all other fields than the name are its effects.
+    """A degree of difficulty: the sizes of all effects.
 
     Attributes:
-        name: Name of the preset.
         pixels: Thresholds and noise of event pixels.
         gel: Stiffness of layer and mesh.
         timing: Errors of the reference sensor and its clock.
@@ -252,7 +251,6 @@ class Preset:
         impact: Large strain, loss, ringing.
     """
 
-    name: str
     pixels: PixelEffects = field(default_factory=PixelEffects)
     gel: GelEffects = field(default_factory=GelEffects)
     timing: TimingEffects = field(default_factory=TimingEffects)
@@ -264,7 +262,7 @@ class Preset:
     impact: ImpactEffects = field(default_factory=ImpactEffects)
 
 
-EASY = Preset('easy')
+EASY = Preset()
 """One shape, clean optics and a rigid mount: for a first look and quick tests."""
 
 
@@ -272,7 +270,7 @@ _READ = read_data(Path(__file__).with_name('presets.yaml'))
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         'easy': EASY,
-        **{name: structure({'name': name} | _READ[name], Preset, name) for name in _READ},
+        **{name: structure(_READ[name], Preset, name) for name in _READ},
     }
 )
 """The presets by name."""

@@ -466,10 +466,10 @@ def make_profile(
     names = preset.contact.indenters
     tool = INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
     if not synced:
-        return Profile(name, duration_s, _with(tool, shake, body))
+        return Profile(duration_s, _with(tool, shake, body))
     first, first_s = sync_impulse(rng, 0.0)
     last, last_s = sync_impulse(rng, duration_s - SYNC_SPAN_S)
-    return Profile(name, duration_s, _with(tool, shake, first + body + last), (first_s, last_s))
+    return Profile(duration_s, _with(tool, shake, first + body + last), (first_s, last_s))
 
 
 def _with(tool: Indenter, shake: tuple[Tone, ...], segments: list[Segment]) -> tuple[Segment, ...]:

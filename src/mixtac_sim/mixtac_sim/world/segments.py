@@ -110,13 +110,11 @@ class Profile:
     """Commands of a whole trial; outside its segments nothing touches.
 
     Attributes:
-        name: Name of the profile.
         duration_s: Length of the trial [s].
         segments: Commands in order of time, without overlap.
         sync_s: Centres of the synchronising impulses [s], for tests of the alignment.
     """
 
-    name: str
     duration_s: float
     segments: tuple[Segment, ...]
     sync_s: tuple[float, ...] = ()

@@ -21,7 +21,6 @@ from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.effects import EASY, Preset, preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
 from mixtac_sim.world.profiles import make_profile
-from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor
 
 TRANSFER_US = (300, 1_500)
@@ -33,7 +32,6 @@ class Trial:
     """One trial; times are camera time [us] = true time unless another clock is named.
 
     Attributes:
-        profile: The commanded contact.
         events: Events, sorted.
         frames: Intensity of each frame [n, 260, 346], uint16, 0 to 1023 DN.
         exposure_start_us: Start of each exposure [n], int64.
@@ -46,7 +44,6 @@ class Trial:
         reference_delay_us: Delay of its readings behind their stamps [us].
     """
 
-    profile: Profile
     events: Events
     frames: NDArray[np.uint16]
     exposure_start_us: NDArray[np.int64]
@@ -93,7 +90,6 @@ def simulate_trial(
     ends = np.array([frame.frame_end_us for frame in frames], np.int64)
     transfer = stream(trial_seed, 'frame transfer').integers(*TRANSFER_US, len(frames))
     return Trial(
-        profile=profile,
         events=output.events,
         frames=images.reshape(-1, HEIGHT, WIDTH),
         exposure_start_us=np.array([frame.exposure_start_us for frame in frames], np.int64),
@@ -139,7 +135,6 @@ class TrialStream:
 
     Attributes:
         spec: The trial.
-        profile: The commanded contact.
         reference: The reference force sensor, with its clock.
         sensor: The tactile sensor.
 
@@ -149,10 +144,8 @@ class TrialStream:
 
     def __init__(self, spec: TrialSpec) -> None:
         self.spec, level = spec, preset(spec.preset)
-        self.profile = make_profile(
-            spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=level
-        )
-        self.sensor = TactileSensor(spec.device_seed, spec.trial_seed, self.profile, preset=level)
+        profile = make_profile(spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=level)
+        self.sensor = TactileSensor(spec.device_seed, spec.trial_seed, profile, preset=level)
         self.reference = ReferenceSensor(spec.trial_seed, level)
         self._inertial = InertialUnit(spec.trial_seed)
 

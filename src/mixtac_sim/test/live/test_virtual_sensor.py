@@ -201,7 +201,7 @@ def test_unfetched_batches_are_bounded(sensor, host):
 
 
 def press():
-    return Profile('press', 1.0, (Segment(0.0, 0.5, Mode.FORCE, (0.0, 0.25), (0.0, 1.0)),))
+    return Profile(1.0, (Segment(0.0, 0.5, Mode.FORCE, (0.0, 0.25), (0.0, 1.0)),))
 
 
 def test_live_profile_plays_from_any_step_in_any_cut():
@@ -246,7 +246,7 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
     sensor = make_sensor(simulation, clock)
     sensor.start()
     assert simulation.until < 50_000
-    start_us = sensor.play(Profile('scenario', 1.0, ()), lead_us=600_000)
+    start_us = sensor.play(Profile(1.0, ()), lead_us=600_000)
     assert 600_000 <= start_us < 650_000
     wait_for(lambda: simulation.until >= 800_000)
     # The simulation is stuck at 0.8 s.

@@ -17,7 +17,7 @@ from mixtac_sim.world.sensor import TactileSensor
 
 def tap(duration=1.0, start=0.1, force=0.8):
     press = Segment(start, start + 0.3, Mode.FORCE, (0.0, 0.1, 0.2, 0.3), (0.0, force, force, 0.0))
-    return Profile('tap', duration, (press,))
+    return Profile(duration, (press,))
 
 
 def sensor(device=1, trial=2, profile=None, pixels=None, aps=None, preset=EASY):
@@ -114,7 +114,7 @@ def test_settings_reach_pixels_and_frames():
 def rubbed(move):
     press = Segment(0.1, 0.2, Mode.FORCE, (0.0, 0.1), (0.0, 0.6))
     held = Segment(0.2, 0.5, Mode.FORCE, (0.0,), (0.6,), move=move)
-    return Profile('rubbed', 0.6, (press, held, Segment(0.5, 0.6, Mode.FORCE, values=(0.6,))))
+    return Profile(0.6, (press, held, Segment(0.5, 0.6, Mode.FORCE, values=(0.6,))))
 
 
 # A turn of the skin dies out below it: beads, which lie deeper, follow it little.
@@ -160,7 +160,7 @@ def shake(frequency, settings, preset=EVEN, seconds=0.8):
     press = Segment(0.0, 0.2, Mode.POSITION, (0.0, 0.2), (-0.1, 0.5))
     tone = Tone(0.1, frequency, 0.0, 0.05)
     hold = Segment(0.2, seconds, Mode.POSITION, (0.0,), (0.5,), (tone,))
-    profile = Profile('vibration', seconds, (press, hold))
+    profile = Profile(seconds, (press, hold))
     body = sensor(profile=profile, pixels=settings, aps=NO_FRAMES, preset=preset)
     return body.advance(round(1e6 * seconds)).events.between(300_000, 800_000)
 
