@@ -127,13 +127,12 @@ def windows_of(trial: TrialArrays, width_us: int) -> Iterator[Window]:
         yield Window(end, frames, events, index > 0 and bool(lost[index - 1]))
 
 
-def stream(model: Model, trial: TrialArrays, **options: Any) -> TrialEstimate:  # noqa: ANN401
+def stream(model: Model, trial: TrialArrays) -> TrialEstimate:
     """Feed a trial to the live estimator in order of arrival.
 
     Args:
         model: Content of a weight file, of any architecture.
         trial: Events, frames and force.
-        options: Of `mixtac_fger.streaming.ForceEstimator`.
 
     Returns:
         The live estimates of the trial, from its first force on.
@@ -144,7 +143,7 @@ def stream(model: Model, trial: TrialArrays, **options: Any) -> TrialEstimate:  
     """
     opened = open_estimator(model)
     # Trials begin without contact: the first frames are the zero.
-    estimator = ForceEstimator(opened, assume_free=True, **options)
+    estimator = ForceEstimator(opened, assume_free=True)
     rows = []
     for window in windows_of(trial, opened.window_us):
         for image, middle_us in window.frames:

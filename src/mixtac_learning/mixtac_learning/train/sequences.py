@@ -44,26 +44,18 @@ class Sequences:
 
     def to(self, target: torch.device) -> Sequences:
         """Return the sequences with everything that is computed with on a device."""
-        if target.type == 'cpu':
-            return self
         moved = {name: getattr(self, name).to(target) for name in self.__slots__ if name != 'slots'}
         return Sequences(**moved, slots=FrameSlots(*(part.to(target) for part in self.slots)))
 
 
-def stack(
-    samples: Sequence[Sample],
-    devices: Sequence[int] | None = None,
-    length: int | None = None,
-) -> Sequences:
+def stack(samples: Sequence[Sample], devices: Sequence[int], length: int) -> Sequences:
     """Put trials side by side.
 
     Args:
         samples: Trials.
-        devices: Number of the sensor of each; None if each is of another.
-        length: Windows to pad to; None for as many as the longest trial has.
+        devices: Number of the sensor of each.
+        length: Windows to pad to.
     """
-    if length is None:
-        length = max(len(sample.force) for sample in samples)
     counts = [len(sample.frame_force) for sample in samples]
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
 
@@ -82,7 +74,7 @@ def stack(
         frame_moments=torch.from_numpy(np.concatenate([each.frame_moments for each in samples])),
         valid=torch.arange(length)[:, None] < lengths[None],
         slots=FrameSlots(shifted, padded('lags')),
-        device=torch.tensor(list(range(len(samples)) if devices is None else devices)),
+        device=torch.tensor(devices),
     )
 
 

@@ -31,7 +31,7 @@ def exact(monkeypatch):
 def test_streaming_equals_the_batch_network(model, network, config, trial):
     # Samples are kept as float16 on disk; the two paths are compared without that rounding.
     sample = make_sample(config, trial)
-    force = estimate(network, stack([sample]))
+    force = estimate(network, stack([sample], [0], len(sample.force)))
     run = stream(model, trial)
     assert np.abs(run.force - force[:, 0].numpy()).max() < 1e-5
     assert np.array_equal(run.t_us, sample.window_end_us)

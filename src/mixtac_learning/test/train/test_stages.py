@@ -72,7 +72,8 @@ def test_running_in_stretches_equals_running_at_once(config, toy_sequences):
 @pytest.fixture
 def sequences(config, trial):
     """One trial twice, with made-up forces: zero, and blows of one window."""
-    both = stack([make_sample(config, trial) for _ in range(2)])
+    sample = make_sample(config, trial)
+    both = stack([sample, sample], [0, 1], len(sample.force))
     force = torch.zeros_like(both.force)
     force[100, 0] = force[300, 0] = force[20, 0] = 8.0
     force[200:204, 1] = 5.0

@@ -162,7 +162,7 @@ def test_stacked_trials_keep_their_frames_and_their_lengths(config, trial):
     long = make_sample(config, trial)
     until = ForceLabel(trial.truth.t_us[:900], trial.truth.force[:900])
     short = make_sample(config, replace(trial, truth=until))
-    both = stack([long, short])
+    both = stack([long, short], [0, 1], len(long.force))
     assert both.valid.sum(dim=0).tolist() == [len(long.force), len(short.force)]
     assert not both.event_features[len(short.force) :, 1].any()
     at = (both.slots.frame[:, 1] >= 0) & both.valid[:, 1]
