@@ -159,7 +159,7 @@ def displacement_field(shape: Literal['sphere', 'flat']) -> LayerField:
     with threadpool_limits(limits=1, user_api='blas'):
         t, weights = _wave_numbers()
         load = _load_spectrum(shape, t) * weights * 3.0 / (4.0 * np.pi)
-        inner, slope = depth_profiles(t, FIELD_HEIGHTS)
+        inner, slope, _ = depth_profiles(t, FIELD_HEIGHTS, pulled=False)
         distances = np.outer(t, FIELD_RADII)
         tables = _transform(load, inner, j0(distances)), _transform(load, slope, j1(distances))
         return LayerField(np.stack(tables, axis=-1))
@@ -190,39 +190,29 @@ def _load_spectrum(shape: Literal['sphere', 'flat'], t: Floats) -> Floats:
     return np.stack(spectrum) / contact.load[:, None]
 
 
-def depth_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return U and dU/dq at heights for unit pressure [t, height], free of overflow."""
-    inner, slope, _ = _profiles(t, height, pulled=False)
-    return 2.0 * inner, 2.0 * slope
-
-
-def shear_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what a unit pull moves at heights, in units of h / G, free of overflow.
+def depth_profiles(t: Floats, height: Floats, *, pulled: bool) -> tuple[Floats, Floats, Floats]:
+    """Return how a wave moves the layer at heights, free of overflow.
 
     Args:
         t: Wave number times thickness, positive [t].
         height: Height above the base over the thickness [height].
+        pulled: By a unit pull at the skin, in units of h / G; else by a unit pressure.
 
     Returns:
-        Displacement along a wave for a pull along it, its rise (a quarter of the wave ahead), and
-        displacement across a wave for a pull across it [t, height].
+        U and dU/dq, and the displacement across the wave for a pull across it [t, height]. By a
+        pull, U is the rise, a quarter of the wave ahead, and dU/dq the displacement along the wave.
     """
-    inner, slope, across = _profiles(t, height, pulled=True)
-    return slope, inner, across
-
-
-def _profiles(t: Floats, height: Floats, *, pulled: bool) -> tuple[Floats, Floats, Floats]:
-    """Return U and dU/dq for half a unit of pressure or for a unit pull, and the motion across."""
     t = t[:, None]
     q, decay = t * height, np.exp(-t)
     cosh_t, sinh_t = 0.5 * (1.0 + decay**2), 0.5 * (1.0 - decay**2)  # times exp(-t)
     rise, fall = np.exp(q - t), np.exp(-q - t)
     cosh_q, sinh_q = 0.5 * (rise + fall), 0.5 * (rise - fall)  # times exp(-t)
-    scale = 1.0 / (0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2)
-    # At the skin: no pull, or no pressure and a pull of one.
+    whole = 0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2
+    # At the skin: no pressure and a pull of one, or no pull.
     a, b = (cosh_t, cosh_t / t - sinh_t) if pulled else (-(cosh_t + t * sinh_t), t * cosh_t)
     inner = a * (q * cosh_q - sinh_q) + b * q * sinh_q
     slope = a * q * sinh_q + b * (sinh_q + q * cosh_q)
+    scale = (1.0 if pulled else 2.0) / whole
     return scale * inner, scale * slope, sinh_q / (t * cosh_t)
 
 
@@ -236,7 +226,7 @@ def shear_field() -> LayerField:
     """
     with threadpool_limits(limits=1, user_api='blas'):
         t, weights = _wave_numbers()
-        along, rise, across = shear_profiles(t, FIELD_HEIGHTS)
+        rise, along, across = depth_profiles(t, FIELD_HEIGHTS, pulled=True)
         size = np.outer(ALPHA, t)
         pull = np.sinc(size / np.pi) * t * weights
         distances = np.outer(t, FIELD_RADII)
@@ -312,7 +302,8 @@ class EdgeContact:
             height: Height above the base over the thickness [n].
         """
         waves = _waves(self.thickness_mm)
-        inner, slope = depth_profiles((waves.size * self.thickness_mm).ravel(), HEIGHTS)
+        sizes = (waves.size * self.thickness_mm).ravel()
+        inner, slope, _ = depth_profiles(sizes, HEIGHTS, pulled=False)
         shape = (*waves.size.shape, len(HEIGHTS))
         soft = (1.5 / waves.size)[:, :, None]
         inward, outward = soft * inner.reshape(shape), soft * slope.reshape(shape)
