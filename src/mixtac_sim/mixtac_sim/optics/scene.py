@@ -301,9 +301,10 @@ def _wire_cover(place_mm: Floats, blur_mm: Floats | float, wire_mm: float) -> Fl
     return np.clip((far - near) / blur_mm, 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Flicker:
-    """A ripple of the lamp, 1 in the mean; too small to make a pixel fire without motion.
+class Flicker(NamedTuple):
+    """A ripple of the lamp, 1 in the mean, also for compiled code.
+
+    It is too small to make a pixel fire without motion.
 
     Attributes:
         depth: Peak of the ripple over the mean, less 1: up to 0.05. A swing of 0.1 log-e is below

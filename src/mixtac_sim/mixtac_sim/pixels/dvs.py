@@ -94,22 +94,6 @@ class Corners(NamedTuple):
     refractory_ns: int
 
 
-class Ripple(NamedTuple):
-    """A small ripple of the lamp.
-
-    Attributes:
-        depth: Peak over the mean, less 1; 0 for none.
-        hz: Frequency [Hz].
-        phase: Phase at time 0 [rad].
-        now_ns: End of the step [ns].
-    """
-
-    depth: float
-    hz: float
-    phase: float
-    now_ns: int
-
-
 class Crossings(NamedTuple):
     """Buffer for threshold crossings.
 
@@ -174,15 +158,16 @@ def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tup
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _ripple(values: NDArray[np.float32], corners: Corners, ripple: Ripple, last_ns: int) -> int:
+def _ripple(
+    values: NDArray[np.float32], corners: Corners, ripple: Flicker, last_ns: int, end_ns: int
+) -> int:
     """Add the steady response to a small ripple since a tile's last step; return whether one fires.
 
     A first-order pixel of corner c answers sin(wt) with [sin(wt) - q cos(wt)] / (1 + q^2), q = f/c.
     """
     source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
-    turn = 2.0 * np.pi * ripple.hz * 1e-9
-    first = turn * last_ns + ripple.phase
-    last = turn * ripple.now_ns + ripple.phase
+    turn, phase = 2.0 * np.pi * ripple.hz * 1e-9, 2.0 * np.pi * ripple.phase
+    first, last = turn * last_ns + phase, turn * end_ns + phase
     sines = _F(np.sin(last) - np.sin(first))
     cosines = _F(np.cos(last) - np.cos(first))
     depth, frequency = _F(ripple.depth), _F(ripple.hz)
@@ -240,14 +225,14 @@ def _fire(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _due(values: NDArray[np.float32], corners: Corners, ripple: Ripple, end_ns: int) -> int:
+def _due(values: NDArray[np.float32], corners: Corners, ripple: Flicker, end_ns: int) -> int:
     """Return when the first of a tile's settled pixels may pass a threshold [ns].
 
     A ripple takes a pixel over its threshold at a crest. So a pixel is due as soon as a crest would
     do so; were it left alone, all such pixels of a tile would fire when something else wakes it.
     """
     source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
-    turn = 2.0 * np.pi * ripple.hz * 1e-9 * end_ns + ripple.phase
+    turn = 2.0 * np.pi * ripple.hz * 1e-9 * end_ns + 2.0 * np.pi * ripple.phase
     sine, cosine = _F(np.sin(turn)), _F(np.cos(turn))
     depth, frequency = _F(ripple.depth), _F(ripple.hz)
     soonest = 1e9
@@ -293,7 +278,7 @@ def develop(
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
     corners: Corners,
-    ripple: Ripple,
+    ripple: Flicker,
     start_ns: int,
     end_ns: int,
     block_ns: int,
@@ -314,7 +299,7 @@ def develop(
             dirty[tile] = 0
         fires, moves = _follow(values, corners, step_s)
         if ripple.depth > 0.0:
-            fires = _ripple(values, corners, ripple, state.last_ns[tile])
+            fires = _ripple(values, corners, ripple, state.last_ns[tile], end_ns)
         if fires:
             for j in range(TILE):
                 difference = values[DIFFERENCE, j]
@@ -388,7 +373,7 @@ class Dvs:
 
     def light_by(self, flicker: Flicker) -> None:
         """Set the flicker of the lamp; steady before the first call."""
-        self._ripple = Ripple(flicker.depth, flicker.hz, 2.0 * np.pi * flicker.phase, 0)
+        self._flicker = flicker
 
     def settle(self, cover: NDArray[np.int32]) -> None:
         """Bring the pixels to the steady state under a cover.
@@ -424,7 +409,7 @@ class Dvs:
             cover,
             dirty,
             self._corners,
-            self._ripple._replace(now_ns=end_ns) if self._ripple.depth else self._ripple,
+            self._flicker,
             start_ns,
             end_ns,
             block_ns,
