@@ -23,7 +23,7 @@ from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, make_skin, 
 from mixtac_sim.grids import STEP_US, stream
 from mixtac_sim.mechanics.contact import ContactPath
 from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
+from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE, Preset
 
 FALL_SUBSTEPS = 8
@@ -211,7 +211,6 @@ class Grasp:
             [s].
 
     Attributes:
-        device: The sensor on the day of the trial.
         critical_n: Smallest normal force that holds the object, to 2 % [N].
         grasp_n: Normal force of the grasp [N]: the margin times `critical_n`.
         stiffness_n_per_mm: Stiffness of the contact at the grasp force [N/mm].
@@ -249,7 +248,6 @@ class Grasp:
         self._day = (conditions, preset)
         if camera:
             self.camera = SkinCamera(*self._day, seed, self._press, self._skin)
-        self.device: DeviceModel = device
         self._seed = seed
 
     def strike(self, speed_mm_s: float) -> None:
@@ -271,9 +269,8 @@ class Grasp:
     def free_frames(self, count: int) -> list[ApsFrame]:
         """Return frames of the same sensor and day, taken before anything touched it."""
         # A new skin is free of shear; another seed, because noise does not repeat.
-        skin = make_skin(
-            self.device.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
-        )
+        layer, radius_mm = self._press.device.layer, self._skin.radius_mm
+        skin = make_skin(layer, radius_mm, self.setup.friction, np.random.default_rng(0))
         seed = self._seed + UNTOUCHED
         camera = SkinCamera(*self._day, seed, self._press, skin, elastic_n=0.0)
         frames = list[ApsFrame]()

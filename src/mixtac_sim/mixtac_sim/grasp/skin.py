@@ -25,7 +25,6 @@ from mixtac_sim.mechanics.elastomer import (
     ForceLaw,
     Indenter,
     Layer,
-    force_law,
     shear_stiffness,
     sheared_area,
 )
@@ -235,7 +234,7 @@ class Press:
         force_n: float,
     ) -> None:
         self.device, self.face = device, face
-        self.gel = force_law(device.layer, face, device.mesh_n_per_mm, device.stiffening)
+        self.gel = device.law(face)
         law = _in_series(self.gel, object_n_per_mm)
         slopes = np.gradient(law.force_n, law.step_mm)
         self.stiffness_n_per_mm = float(np.interp(force_n, law.force_n, slopes))
@@ -318,9 +317,8 @@ class SkinBeads:
         share = near / near.sum(axis=1, keepdims=True)
         self._weights = share * (height * np.exp(-(outside**2)))[:, None]
         late = np.rint(beads.depth_mm / wave_speed_mm_s(layer) * 1e6 / STEP_US).astype(np.int64)
-        self._late = np.maximum(late, 0)
-        self._past = np.tile(skin.shear_mm, (int(self._late.max()) + 1, 1))
-        self._rows = [np.flatnonzero(self._late == k) for k in range(len(self._past))]
+        self._past = np.tile(skin.shear_mm, (int(late.max()) + 1, 1))
+        self._rows = [np.flatnonzero(late == k) for k in range(len(self._past))]
         self._mean_mm, self._more_mm = np.zeros((2, len(height)))
 
     def push(self, patches_mm: Floats) -> None:
@@ -368,7 +366,7 @@ class SkinCamera:
         elastic_n: float | None = None,
     ) -> None:
         device, contact_mm = press.device, conditions.contact_mm
-        self._beads = device.beads(contact_mm, [press.face], [press.gel])
+        self._beads = device.beads(contact_mm, [press.face])
         self._moved = SkinBeads(device.markers, device.layer, contact_mm, skin)
         self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
         self._patches_mm = skin.shear_mm.copy()

@@ -8,7 +8,7 @@ between trials on the same sensor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.random import Generator
 
 from mixtac_sim.grids import log_uniform, stream
 from mixtac_sim.mechanics.contact import PronySeries
-from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer
+from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, force_law
 from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.scene import (
     MESH_WIRE_MM,
@@ -128,11 +128,7 @@ class DeviceModel:
         lighting: Light and reflectances.
         scene: Light on the array at rest.
         spread: Differences between pixels.
-        threshold_factor: Thresholds of this chip over nominal, ON and OFF.
-        noise_factor: Noise and leak of this chip over nominal.
-        leak_factor: Leak from parasitic light of this chip over nominal.
-        speed_factor: Corner of the source follower, of the photoreceptor, and blind time of this
-            chip over nominal.
+        pixel_factors: Fields of `PixelSettings` of this chip over nominal ones.
         stiffening: Force over the linear layer's, less 1, per square of the strain.
         frame_burst: Share of pixels that fire when a frame is reset or read.
         dn_per_lux_ms: Response of the frames [DN/(lx ms)].
@@ -149,10 +145,7 @@ class DeviceModel:
     lighting: Lighting
     scene: Scene
     spread: PixelSpread
-    threshold_factor: tuple[float, float]
-    noise_factor: float
-    leak_factor: float
-    speed_factor: tuple[float, float, float]
+    pixel_factors: Mapping[str, float]
     stiffening: float
     frame_burst: float
     dn_per_lux_ms: float
@@ -174,31 +167,21 @@ class DeviceModel:
             scene=build_scene(lens, self.lighting),
         )
 
-    def beads(
-        self,
-        contact_mm: tuple[float, float],
-        indenters: Sequence[Indenter],
-        laws: Sequence[ForceLaw],
-    ) -> BeadMotion:
+    def law(self, indenter: Indenter) -> ForceLaw:
+        """Return the force law of an indenter on layer and mesh."""
+        return force_law(self.layer, indenter, self.mesh_n_per_mm, self.stiffening)
+
+    def beads(self, contact_mm: tuple[float, float], indenters: Sequence[Indenter]) -> BeadMotion:
         """Return how the beads move under a contact; arguments as of `BeadMotion`."""
+        stiffness, laws = self.mesh_n_per_mm, [self.law(each) for each in indenters]
         return BeadMotion(
-            self.markers, self.lens, self.mesh_n_per_mm, self.layer, contact_mm, indenters, laws
+            self.markers, self.lens, stiffness, self.layer, contact_mm, indenters, laws
         )
 
     def pixel_settings(self, nominal: PixelSettings, conditions: Conditions) -> PixelSettings:
         """Return what a nominal chip's settings become on this chip, on the day of a trial."""
-        return replace(
-            nominal,
-            threshold_on=nominal.threshold_on * self.threshold_factor[0],
-            threshold_off=nominal.threshold_off * self.threshold_factor[1],
-            source_follower_hz=nominal.source_follower_hz * self.speed_factor[0],
-            hz_per_lux=nominal.hz_per_lux * self.speed_factor[1],
-            refractory_us=nominal.refractory_us * self.speed_factor[2],
-            leak_hz=nominal.leak_hz * self.noise_factor,
-            leak_hz_per_lux=nominal.leak_hz_per_lux * self.leak_factor,
-            shot_hz=nominal.shot_hz * self.noise_factor,
-            drift_per_s=conditions.supply_per_s,
-        )
+        own = {name: getattr(nominal, name) * each for name, each in self.pixel_factors.items()}
+        return replace(nominal, **own, drift_per_s=conditions.supply_per_s)
 
 
 def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
@@ -211,7 +194,7 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         seed: Device seed.
         preset: Spread of the devices.
     """
-    rng, pixels, gel, band = stream(seed, 'device'), preset.pixels, preset.gel, preset.bandwidth
+    rng, pixels, gel = stream(seed, 'device'), preset.pixels, preset.gel
     layer = Layer(
         modulus_kpa=float(
             np.clip(160.0 * np.exp(rng.normal(0.0, gel.modulus_log_sd)), 100.0, 300.0)
@@ -223,7 +206,7 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
     lighting = _draw_lighting(rng, preset, wide)
     common, skew = rng.normal(0.0, pixels.common_log_sd), rng.normal(0.0, pixels.skew_log_sd)
     # Draws added with the presets have separate streams, so that older draws do not change.
-    speed, more = stream(seed, 'device speed'), stream(seed, 'device stiffening')
+    more = stream(seed, 'device stiffening')
     return DeviceModel(
         seed=seed,
         layer=layer,
@@ -237,22 +220,30 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         lighting=lighting,
         scene=build_scene(lens, lighting),
         spread=draw_spread(seed, rng.uniform(*pixels.mismatch), preset.light.hot_pixels),
-        threshold_factor=(
-            float(np.exp(common + skew)) * pixels.threshold,
-            float(np.exp(common - skew)) * pixels.threshold,
-        ),
-        noise_factor=float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise,
-        leak_factor=pixels.noise,
-        speed_factor=(
-            log_uniform(speed, band.follower),
-            log_uniform(speed, band.per_lux),
-            log_uniform(speed, band.refractory),
-        ),
+        pixel_factors=_draw_pixel_factors(rng, seed, preset, common, skew),
         stiffening=more.uniform(*preset.impact.stiffening),
         frame_burst=rng.uniform(*preset.light.frame_burst),
         dn_per_lux_ms=rng.uniform(0.85, 1.1),
         grain=log_uniform(wide, preset.light.grain),
     )
+
+
+def _draw_pixel_factors(
+    rng: Generator, seed: int, preset: Preset, common: float, skew: float
+) -> dict[str, float]:
+    """Return thresholds, speed and noise of a chip over nominal."""
+    pixels, band, speed = preset.pixels, preset.bandwidth, stream(seed, 'device speed')
+    noise = float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise
+    return {
+        'threshold_on': float(np.exp(common + skew)) * pixels.threshold,
+        'threshold_off': float(np.exp(common - skew)) * pixels.threshold,
+        'source_follower_hz': log_uniform(speed, band.follower),
+        'hz_per_lux': log_uniform(speed, band.per_lux),
+        'refractory_us': log_uniform(speed, band.refractory),
+        'leak_hz': noise,
+        'leak_hz_per_lux': pixels.noise,
+        'shot_hz': noise,
+    }
 
 
 def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects, wide: Generator) -> Lens:

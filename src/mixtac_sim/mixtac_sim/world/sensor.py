@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mixtac_core.events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
-from mixtac_sim.mechanics.elastomer import Shear, force_law
+from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.mechanics.sliding import Across, Sliding
 from mixtac_sim.optics.beads import SlidingBeads
 from mixtac_sim.pixels.aps import ApsFrame
@@ -145,9 +145,7 @@ class TactileSensor:
         tools = profile.indenters
         self.device: DeviceModel = device
         self._profile = profile
-        self._laws = [
-            force_law(device.layer, tool, device.mesh_n_per_mm, device.stiffening) for tool in tools
-        ]
+        self._laws = [device.law(tool) for tool in tools]
         self._contact = Contact(self._laws, [tool.mass_g for tool in tools], device.prony)
         self._shear = Shear(
             device.layer,
@@ -159,16 +157,15 @@ class TactileSensor:
         self.contact_mm, self._conditions = conditions.contact_mm, conditions
         self._last: tuple[float, Floats] = (0.0, np.zeros(2))
         self._last_slid = np.zeros(3)
-        self._beads = device.beads(conditions.contact_mm, tools, self._laws)
+        self._beads = device.beads(conditions.contact_mm, tools)
         self._sliding = Sliding(self._shear, device.prony)
         self._sliding_beads = SlidingBeads(
-            lambda k, place: device.beads(place, tools[k : k + 1], self._laws[k : k + 1]),
-            conditions.contact_mm,
+            lambda k, place: device.beads(place, tools[k : k + 1]), conditions.contact_mm
         )
         # What falls by its own weight falls on one place.
         self._second = 0.0 if any(tool.mass_g for tool in tools) else conditions.second
         x, y = np.add(conditions.contact_mm, conditions.second_mm).tolist()
-        self._other = device.beads((x, y), tools, self._laws) if self._second else None
+        self._other = device.beads((x, y), tools) if self._second else None
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._rest = rest.copy()
         flicker = draw_flicker(day, preset.light)

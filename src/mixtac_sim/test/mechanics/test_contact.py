@@ -129,7 +129,7 @@ def _fly(law, prony, state):
 @pytest.fixture(scope='module', params=[11, 13])
 def both(request):
     device = draw_device(request.param, PAPER)
-    law = force_law(device.layer, WEIGHT_20_G, device.mesh_n_per_mm, device.stiffening)
+    law = device.law(WEIGHT_20_G)
     return simulated(law, device.prony, 2.5), integrated(law, device.prony, 6)
 
 

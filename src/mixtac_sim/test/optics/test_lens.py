@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.mechanics.elastomer import HEMISPHERE, force_law
+from mixtac_sim.mechanics.elastomer import HEMISPHERE
 from mixtac_sim.optics.scene import ONE, Lens, Scene, pixel_slopes
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.pixels.dvs import Dvs
@@ -35,8 +35,7 @@ def test_blur_grows_by_the_known_rate():
 @pytest.fixture(scope='module')
 def motion():
     device = draw_device(5)
-    law = force_law(device.layer, HEMISPHERE, device.mesh_n_per_mm)
-    return device, device.beads((0.5, -0.8), (HEMISPHERE,), [law])
+    return device, device.beads((0.5, -0.8), (HEMISPHERE,))
 
 
 def test_beads_at_rest_are_where_the_lens_puts_them(motion):
@@ -104,8 +103,7 @@ def test_moved_camera_is_opencvs(name):
     # The trial draws the same beads there.
     moved = TactileSensor(2, 5, make_profile('idle', 1, 1.0), preset=preset(name)).device
     assert moved.lens == lens
-    law = force_law(moved.layer, HEMISPHERE)
-    beads = moved.beads((0.0, 0.0), (HEMISPHERE,), [law])
+    beads = moved.beads((0.0, 0.0), (HEMISPHERE,))
     np.testing.assert_allclose(beads.place(0, 0.0, (0.0, 0.0))[:, :2], expected.T, atol=1e-6)
 
 
