@@ -23,7 +23,7 @@ from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import GraspSetup
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US
 from mixtac_sim.live.virtual_sensor import SimulationClock
-from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.effects import Preset
 from mixtac_sim.world.sensor import NOTHING, SensorOutput, truth_rows
@@ -170,7 +170,7 @@ class LiveGrasp:
         self._back, self._open = False, open_first
         self._gripping, self._from_n = 0, self.grasp_n
         self._block = 0
-        self._frames: list[ApsFrame] = []
+        self._late = NOTHING
         self.object_mm = 0.0
 
     def move(self, advance_mm: float, posture: tuple[float, ...] = ()) -> None:
@@ -211,16 +211,14 @@ class LiveGrasp:
 
     def advance(self, until_us: int) -> SensorOutput:
         """Return what happens until a time, in whole blocks of 4 ms [us]."""
-        parts = [NOTHING]
+        parts = [self._late]
         while (self._block + 1) * BLOCK_US <= until_us:
             parts.append(self._advance_block())
             self._block += 1
-        output = SensorOutput.join(parts)
-        frames = self._frames + output.frames
-        ready = [frame for frame in frames if frame.frame_end_us < until_us]
-        self._frames = frames[len(ready) :]
+        # The last step ends at that very time.
+        due, self._late = SensorOutput.join(parts).split(until_us + 1)
         self._clock.reached(until_us)
-        return replace(output, frames=ready)
+        return due
 
     def _advance_block(self) -> SensorOutput:
         with self._lock:
