@@ -116,8 +116,14 @@ class Aps:
         self._next_us = max(self._next_us, settings.first_us, self._busy_until_us + RESET_US)
         self._settings = settings
 
-    def _window(self, start_us: float, end_us: float) -> tuple[float, float]:
-        """Return how long [us] the light at start and at end of a step counts for the exposure."""
+    def shares_us(self, start_us: float, end_us: float) -> tuple[float, float]:
+        """Return how long [us] the light at start and at end of the next step is exposed.
+
+        Args:
+            start_us: Start of the step [us].
+            end_us: Its end [us].
+        """
+        self._adopt(start_us)
         opens, closes = self.exposure_us
         opened, closed = max(start_us, float(opens)), min(end_us, float(closes))
         if closed <= opened:
@@ -125,16 +131,8 @@ class Aps:
         late = (0.5 * (opened + closed) - start_us) / (end_us - start_us)
         return (1.0 - late) * (closed - opened), late * (closed - opened)
 
-    def expose_before(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:
-        """Collect the light [tiles, 64] [lx] at the start of a step; times in us."""
-        self._adopt(start_us)
-        self._collect(light, self._window(start_us, end_us)[0])
-
-    def expose_after(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:
-        """Collect the light [tiles, 64] [lx] at the end of a step; times in us."""
-        self._collect(light, self._window(start_us, end_us)[1])
-
-    def _collect(self, light: NDArray[np.float32], span_us: float) -> None:
+    def expose(self, light: NDArray[np.float32], span_us: float) -> None:
+        """Collect light [tiles, 64] [lx] for a time [us]."""
         if span_us > 0.0:
             _add(self._light, light, np.float32(span_us))
 

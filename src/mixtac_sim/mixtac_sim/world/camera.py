@@ -113,10 +113,11 @@ class Camera:
         first = 0
         for last in cut_block(travel_px, min(longest, BLOCK_STEPS)):
             from_us, to_us = start_us + first * STEP_US, start_us + last * STEP_US
-            aps.expose_before(light, from_us, to_us)
+            before_us, after_us = aps.shares_us(from_us, to_us)
+            aps.expose(light, before_us)
             self._show(place(first, last), float(elastic_n[last - 1]))
             dvs.step(cover, dirty, 1000 * from_us, 1000 * to_us, 1000 * start_us)
-            aps.expose_after(light, from_us, to_us)
+            aps.expose(light, after_us)
             frame = aps.finish(to_us, self._brightness(to_us))
             if frame is not None:
                 frames.append(frame)

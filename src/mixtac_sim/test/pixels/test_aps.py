@@ -13,13 +13,18 @@ def light(lux):
     return np.full((TILES, TILE), lux, np.float32)
 
 
+def expose(aps, before, after, start, end):
+    """Expose to two lights, at the start and at the end of a step."""
+    for each, span_us in zip((before, after), aps.shares_us(start, end), strict=True):
+        aps.expose(each, span_us)
+
+
 def take(aps, light_at, until_us=60_000, step_us=500):
     """Return the frames of a course of even light."""
     frames = []
     for start in range(0, until_us, step_us):
         end = start + step_us
-        aps.expose_before(light(light_at(start)), start, end)
-        aps.expose_after(light(light_at(end)), start, end)
+        expose(aps, light(light_at(start)), light(light_at(end)), start, end)
         frame = aps.finish(end, 1.0)
         if frame is not None:
             frames.append(frame)
@@ -56,8 +61,7 @@ def test_new_settings_wait_for_the_exposure_under_way():
     frames = take(aps, lambda _: 50.0, 8_000)
     aps.configure(ApsSettings(2_000, 20_000, 5_000))
     for start in range(8_000, 80_000, 500):
-        aps.expose_before(light(50.0), start, start + 500)
-        aps.expose_after(light(50.0), start, start + 500)
+        expose(aps, light(50.0), light(50.0), start, start + 500)
         frame = aps.finish(start + 500, 1.0)
         frames += [frame] if frame is not None else []
     lengths = [f.exposure_end_us - f.exposure_start_us for f in frames]
@@ -72,8 +76,7 @@ def pair(lux):
     aps = Aps(3, int(lux), 1.0, ApsSettings(7_000, 20_000, 5_000))
     light, frames = np.full((TILES, TILE), lux, np.float32), []
     for start in range(0, 60_000, 500):
-        aps.expose_before(light, start, start + 500)
-        aps.expose_after(light, start, start + 500)
+        expose(aps, light, light, start, start + 500)
         frame = aps.finish(start + 500, 1.0)
         frames += [frame] if frame is not None else []
     return frames[:2]
