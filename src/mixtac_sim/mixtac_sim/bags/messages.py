@@ -69,6 +69,7 @@ class TrialClocks:
         self.origin_us = self.epoch_ns // 1000
         self.camera = Oscillator(self.skew_ppm)
         self._delays = stream(trial_seed, 'usb delay')
+        self._latest_ns = 0
 
     def to_host_ns(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert true time [us] to the host's [ns since the Unix epoch]."""
@@ -77,11 +78,13 @@ class TrialClocks:
     def arrivals_ns(self, end_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return when the host has transfers that end at true times [us]; draws new delays.
 
-        The delays are at least `LEAST_DELAY_US`; arrivals are in order.
+        The delays are at least `LEAST_DELAY_US`; arrivals are in order, also from call to call.
         """
         delays_us = LEAST_DELAY_US + self._delays.exponential(MORE_DELAY_US, len(end_us))
         arrivals = self.to_host_ns(end_us) + np.round(1000 * delays_us).astype(np.int64)
-        return np.asarray(np.maximum.accumulate(arrivals), np.int64)
+        arrivals = np.maximum.accumulate(np.maximum(arrivals, self._latest_ns))
+        self._latest_ns = int(arrivals.max(initial=self._latest_ns))
+        return np.asarray(arrivals, np.int64)
 
 
 MPU9250: Final = 2

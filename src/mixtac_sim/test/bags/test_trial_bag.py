@@ -164,3 +164,10 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     near = np.abs(1e-9 * (times - clocks.epoch_ns) - expected) < 0.1
     measured = 1e-9 * (times[near][forces[near, 2].argmax()] - clocks.epoch_ns)
     assert abs(measured - expected) < 0.004
+
+
+def test_transfers_arrive_in_order_however_they_are_asked_for():
+    clocks = TrialClocks(3)
+    arrivals = np.concatenate([clocks.arrivals_ns(np.array([50 * k])) for k in range(500)])
+    assert (np.diff(arrivals) >= 0).all()
+    assert len(clocks.arrivals_ns(np.zeros(0, np.int64))) == 0
