@@ -12,7 +12,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ from rich.table import Table
 
 from mixtac.figures import make_table
 from mixtac.options import JsonFile
+from mixtac_core.events.readings import DecodedBatch
 from mixtac_core.node.files import write_json
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
@@ -130,19 +131,22 @@ def _shortest(jobs: list[list[Callable[[], None]]], seconds: float) -> list[floa
     return [sum(shortest) for shortest in best]
 
 
-def _decode(decoder: StreamDecoder, words: NDArray[np.uint16]) -> None:
+def _batches(decoder: StreamDecoder, words: NDArray[np.uint16]) -> Iterator[DecodedBatch]:
     for start in range(0, len(words), TRANSFER_BYTES // 2):
-        for _ in decoder.push(words[start : start + TRANSFER_BYTES // 2]):
-            pass
+        yield from decoder.push(words[start : start + TRANSFER_BYTES // 2])
+
+
+def _decode(decoder: StreamDecoder, words: NDArray[np.uint16]) -> None:
+    for _ in _batches(decoder, words):
+        pass
 
 
 def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[float, tuple[float, float], float]:
     """Return events or frames decoded per second, `RATIOS`, and the speed of the copy [B/s]."""
     decoder = StreamDecoder(Geometry(), capacity=TRANSFER_BYTES // 2)
     target = np.empty_like(words)
-    steps = range(0, len(words), TRANSFER_BYTES // 2)
-    batches = (each for k in steps for each in decoder.push(words[k : k + steps.step]))
-    events, frames = np.sum([(len(each.events), len(each.frames)) for each in batches], axis=0)
+    sizes = [(len(each.events), len(each.frames)) for each in _batches(decoder, words)]
+    events, frames = np.sum(sizes, axis=0)
     cuts = range(PIECE_BYTES // 2, len(words), PIECE_BYTES // 2)
     pieces, targets = np.split(words, cuts), np.split(target, cuts)
     decoding, copying = _shortest(

@@ -21,13 +21,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, ContactPath, Mode
-from mixtac_sim.mechanics.elastomer import (
-    ForceLaw,
-    Indenter,
-    Layer,
-    shear_stiffness,
-    sheared_area,
-)
+from mixtac_sim.mechanics.elastomer import ForceLaw, Indenter, Layer, shear_stiffness, sheared_area
 from mixtac_sim.optics.scene import Markers
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -82,6 +83,11 @@ class Layer:
     modulus_kpa: float
     thickness_mm: float
 
+    @property
+    def shear_mpa(self) -> float:
+        """Shear modulus [MPa, or N/mm^2]."""
+        return 1e-3 * self.modulus_kpa / 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
@@ -123,6 +129,7 @@ class ForceLaw:
         return np.asarray(np.interp(force_n, self.force_n, self.linear_n))
 
 
+@lru_cache(maxsize=64)
 def force_law(
     layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf, stiffening: float = 0.0
 ) -> ForceLaw:
@@ -199,7 +206,7 @@ def sheared_area(radius: Floats | float, thickness: float) -> Floats:
 def shear_stiffness(layer: Layer, radius_mm: Floats | float) -> Floats:
     """Return the stiffness in shear of the gel under contacts of these radii [N/mm]."""
     area_mm2 = sheared_area(radius_mm, layer.thickness_mm)
-    return np.asarray(1e-3 * layer.modulus_kpa / 3.0 * area_mm2 / layer.thickness_mm)
+    return np.asarray(layer.shear_mpa * area_mm2 / layer.thickness_mm)
 
 
 LIGHT_N = 0.05
@@ -260,7 +267,7 @@ class Shear:
 
     def turn_stiffness(self, radius_mm: Floats) -> Floats:
         """Return its stiffness against a turn about the normal [n] [N mm/rad]."""
-        return np.asarray(16.0 / 3.0 * (1e-3 * self._layer.modulus_kpa / 3.0) * radius_mm**3)
+        return np.asarray(16.0 / 3.0 * self._layer.shear_mpa * radius_mm**3)
 
     def limit(self, force_n: Floats) -> Floats:
         """Return the largest pull that friction bears under normal forces [n] [N]."""

@@ -302,9 +302,9 @@ def _wire_cover(place_mm: Floats, blur_mm: Floats | float, wire_mm: float) -> Fl
 
 
 class Flicker(NamedTuple):
-    """A ripple of the lamp, 1 in the mean, also for compiled code.
+    """A ripple of the light about a mean of 1, too small to make a pixel fire without motion.
 
-    It is too small to make a pixel fire without motion.
+    Compiled code reads it as well.
 
     Attributes:
         depth: Peak of the ripple over the mean, less 1: up to 0.05. A swing of 0.1 log-e is below
